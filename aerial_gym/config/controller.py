@@ -5,15 +5,19 @@ from dataclasses import dataclass
 from math import inf, pi
 from typing import ClassVar, Literal
 
-from aerial_gym.config.betaflight import BetaflightCfg
+from aerial_gym.config.autopilots.betaflight import BetaflightCfg
+from aerial_gym.config.autopilots.crazyflie import CrazyfliePidCfg, MellingerCfg
+from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.config.checks import Vec3, require_finite, require_positive
-from aerial_gym.config.px4 import Px4Cfg
 from aerial_gym.errors import ConfigError
 
 _DRAWN_BY_NAME = (
     "gains have no ranges of their own: give each gain as one number per axis (position: [2.5, 2.5, 1.5]) and what is drawn by "
     "name, randomize: {gains.position: {how: value, low: [2.0, 2.0, 1.0], high: [3.0, 3.0, 2.0]}} (docs/randomisation.md)"
 )
+
+AUTOPILOTS = ("px4", "betaflight", "mellinger", "crazyflie_pid")
+"""Fields of ``ControllerCfg`` and ``ControlCfg`` with the parameters of a real autopilot; a controller has one at most."""
 
 EFFECTIVENESS = ("nominal", "actual")
 """Of which vehicle an allocation inverts the control effectiveness."""
@@ -104,6 +108,12 @@ class ControlCfg:
 
     betaflight: BetaflightCfg | None = None
     """Parameters of Betaflight's rate loop, likewise."""
+
+    mellinger: MellingerCfg | None = None
+    """Parameters of the Crazyflie's Mellinger controller, likewise."""
+
+    crazyflie_pid: CrazyfliePidCfg | None = None
+    """Parameters of the Crazyflie's cascade of PID controllers, likewise."""
 
     effectiveness: str = "nominal"
     """``nominal`` or ``actual``: which control effectiveness matrix the allocation inverts, and with which thrust maps it goes
@@ -203,6 +213,12 @@ class ControllerCfg:
     betaflight: BetaflightCfg | None = None
     """Betaflight's rate loop with these parameters, likewise."""
 
+    mellinger: MellingerCfg | None = None
+    """The Crazyflie's Mellinger controller, likewise."""
+
+    crazyflie_pid: CrazyfliePidCfg | None = None
+    """The Crazyflie's cascade of PID controllers, likewise."""
+
     rate_hz: float | None = None
     """How often the law runs [1/s], > 0; every physics step, or with a rate loop as often as that, if not given. What it
     wants is held in between."""
@@ -220,13 +236,13 @@ class ControllerCfg:
         for name in ("delay", "action_delay"):
             if not 0.0 <= getattr(self, name) < inf:
                 raise ConfigError(f"ControllerCfg.{name} = {getattr(self, name)!r}: must be >= 0 and finite")
-        for name in ("px4", "betaflight"):
-            if getattr(self, name) is not None and (self.rate_loop is not None or self.gains is not None):
-                raise ConfigError(
-                    f"ControllerCfg.{name}: has gains and a rate loop of its own. Leave gains and rate_loop out"
-                )
-        if self.px4 is not None and self.betaflight is not None:
-            raise ConfigError("ControllerCfg: px4 and betaflight are two rate loops. Leave one out")
+        own = [name for name in AUTOPILOTS if getattr(self, name) is not None]
+        if own and (self.rate_loop is not None or self.gains is not None):
+            raise ConfigError(
+                f"ControllerCfg.{own[0]}: has gains and a rate loop of its own. Leave gains and rate_loop out"
+            )
+        if len(own) > 1:
+            raise ConfigError(f"ControllerCfg: {' and '.join(own)} are {len(own)} autopilots. Leave all but one out")
         if self.delay > 0.0 and self.inner is None:
             raise ConfigError(
                 f"ControllerCfg.delay = {self.delay!r}: there is no rate loop to reach. Give rate_loop, or action_delay"
@@ -235,6 +251,11 @@ class ControllerCfg:
             raise ConfigError(f"ControllerCfg.allocation = {self.allocation!r}: must be 'prioritised' or 'clamp'")
 
     @property
-    def inner(self) -> RateLoopCfg | Px4Cfg | BetaflightCfg | None:
+    def inner(self) -> RateLoopCfg | Px4Cfg | BetaflightCfg | CrazyfliePidCfg | None:
         """The loop of body rates, if there is one."""
-        return self.px4 or self.betaflight or self.rate_loop
+        return self.px4 or self.betaflight or self.crazyflie_pid or self.rate_loop
+
+    @property
+    def autopilot(self) -> str | None:
+        """Which of ``AUTOPILOTS`` it is; None if none."""
+        return next((name for name in AUTOPILOTS if getattr(self, name) is not None), None)

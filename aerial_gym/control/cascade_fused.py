@@ -173,7 +173,7 @@ def make_two_levels(
             arrived = wp.max(since - wp.static(delay), 0) / wp.static(period)
             for i in range(4):
                 setpoint[i] = arrays.past[4 * (arrived % wp.static(slots)) + i, env]
-        return run_loop(params, gains, ang_vel, setpoint, arrays, env, since, dt)
+        return run_loop(params, gains, attitude, ang_vel, setpoint, arrays, env, since, dt)
 
     return run
 
@@ -229,8 +229,8 @@ def make_rate_loop(law: FusedLaw, num_rotors: int, general: bool, timing: Timing
 
     @wp.func
     def run_loop(
-        params: command_type, gains: CascadeGains, ang_vel: wp.vec3, setpoint: wp.vec4, arrays: LawArrays, env: int,
-        since: int, dt: float,
+        params: command_type, gains: CascadeGains, attitude: wp.quat, ang_vel: wp.vec3, setpoint: wp.vec4,
+        arrays: LawArrays, env: int, since: int, dt: float,
     ) -> vector:  # fmt: skip
         span = wp.static(period) * dt
         integral = read_vec3(arrays.numbers, 0, env)

@@ -3,10 +3,11 @@
 from dataclasses import replace
 
 from aerial_gym.config import CONFIG_DIR, load
-from aerial_gym.config.betaflight import BetaflightCfg
+from aerial_gym.config.autopilots.betaflight import BetaflightCfg
+from aerial_gym.config.autopilots.crazyflie import CrazyfliePidCfg, MellingerCfg
+from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.config.controller import ControllerCfg, LeeGainsCfg, RateLoopCfg
 from aerial_gym.config.loader import build, read_yaml
-from aerial_gym.config.px4 import Px4Cfg
 from aerial_gym.registry import Registry
 
 CONTROLLERS: Registry[ControllerCfg] = Registry("controller")
@@ -50,6 +51,13 @@ CONTROLLERS.register(
     "betaflight_rate_control",
     replace(_cfg, summary=f"{_cfg.summary}; the rate loop of Betaflight", betaflight=BetaflightCfg()),
 )
+
+_cfg = CONTROLLERS.get("lee_position_control")
+for _name, _own in (("mellinger", {"mellinger": MellingerCfg()}), ("pid", {"crazyflie_pid": CrazyfliePidCfg()})):
+    _summary = (
+        f"{_cfg.summary}; the {'Mellinger controller' if _name == 'mellinger' else 'PID cascade'} of the Crazyflie"
+    )
+    CONTROLLERS.register(f"crazyflie_{_name}_control", replace(_cfg, summary=_summary, **_own))
 
 
 def _gains_of(robot: str) -> LeeGainsCfg:

@@ -15,6 +15,7 @@ from aerial_gym.control import lee_fused
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.betaflight.controller import BetaflightController
 from aerial_gym.control.cascade import CascadeController
+from aerial_gym.control.crazyflie.controller import MellingerController, PidController
 from aerial_gym.control.gains import GAINS, gains_for, with_own_rows
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.px4.controller import OF_PX4, Px4Controller
@@ -23,6 +24,14 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.physics.fused import FusedLaw
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import Vehicle
+
+OF_AUTOPILOTS = {
+    "px4": Px4Controller,
+    "betaflight": BetaflightController,
+    "mellinger": MellingerController,
+    "crazyflie_pid": PidController,
+}
+"""By the field of ``ControllerCfg`` that has their parameters."""
 
 __path__: list[str] = []  # scripts of another simulator import modules below this name: aerial_gym.compat.modules
 
@@ -199,8 +208,7 @@ def make_controller(
             raise ConfigError(
                 f"law {cfg.law!r}: a controller with rates or memory is built for one time step. Give dt [s]"
             )
-        own = Px4Controller if cfg.betaflight is None else BetaflightController
-        kind = own if cfg.px4 or cfg.betaflight else CascadeController
+        kind = CascadeController if cfg.autopilot is None else OF_AUTOPILOTS[cfg.autopilot]
         return kind(cfg, vehicle, gravity, dt=dt, control=control)
     known = ", ".join(("thrust", "rotor_speed", *LAWS))
     raise ConfigError(f"ControllerCfg.law = {cfg.law!r}: unknown. Known: {known}")

@@ -15,6 +15,7 @@ Frames: body is x forward, y left, z up; world is z up. Letters: E environments,
 
 from dataclasses import replace
 from math import acos, pi, tan
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -131,10 +132,19 @@ def explicit_gains_of(cfg: ControllerCfg, control: ControlCfg) -> LeeGainsCfg | 
 
 def has_explicit_gains(cfg: ControllerCfg, control: ControlCfg) -> bool:
     """Return whether any gain is someone's own, given for the controller or the robot."""
-    for own, of_robot in ((cfg.px4, control.px4), (cfg.betaflight, control.betaflight)):
-        if own is not None:
-            return own.explicit or (of_robot is not None and of_robot.explicit)
+    if cfg.autopilot is not None:
+        return autopilot_of(cfg, control).explicit
     return explicit_gains_of(cfg, control) is not None
+
+
+def autopilot_of(cfg: ControllerCfg, control: ControlCfg) -> Any:
+    """Return the parameters of a controller's autopilot: the robot's where it has none of its own; its own rate in any case."""
+    assert cfg.autopilot is not None
+    own, of_robot = getattr(cfg, cfg.autopilot), getattr(control, cfg.autopilot)
+    if own.explicit or of_robot is None:
+        return own
+    rate = getattr(own, "rate_hz", None)
+    return of_robot if rate is None else replace(of_robot, rate_hz=rate)
 
 
 def gains_for(

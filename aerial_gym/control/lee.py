@@ -15,6 +15,9 @@ from torch import Tensor
 from aerial_gym.math.quaternion import quat_from_yaw, quat_rotate, quat_rotate_inverse, quat_to_matrix, yaw_from_quat
 from aerial_gym.physics.state import BodyState
 
+LEAST_LIFT = 0.1
+"""Upward part of what is wanted of the thrust, at least, as a share of the weight: laws that turn a thrust do not turn over."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class LeeGains:
@@ -121,7 +124,7 @@ def acceleration_wrench(
     weight = gains.mass * gains.gravity
     lateral, up = acceleration[:, :2], acceleration[:, 2:] + gains.gravity
     force = gains.mass.unsqueeze(-1) * torch.cat((lateral, up), dim=-1)
-    force = limit_inclination(force, 0.1 * weight, gains.max_inclination)
+    force = limit_inclination(force, LEAST_LIFT * weight, gains.max_inclination)
     rotation = quat_to_matrix(state.attitude)
     thrust = (force * rotation[:, :, 2]).sum(-1)
     still = torch.zeros_like(state.ang_vel)

@@ -12,7 +12,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.control.lee import LeeGains
+from aerial_gym.control.lee import LEAST_LIFT, LeeGains
 from aerial_gym.physics.fused.functions import inverse_root, rotate, rotate_inverse, unit
 
 
@@ -54,6 +54,13 @@ def gain_rows(gains: LeeGains) -> Mapping[str, Tensor]:
 def read_vec3(source: wp.array2d[float], first: int, env: int) -> wp.vec3:
     """Return three numbers of one environment."""
     return wp.vec3(source[first, env], source[first + 1, env], source[first + 2, env])
+
+
+@wp.func
+def write_vec3(out: wp.array2d[float], first: int, env: int, vector: wp.vec3):
+    """Write three numbers of one environment."""
+    for i in range(3):
+        out[first + i, env] = vector[i]
 
 
 @wp.func
@@ -117,14 +124,19 @@ def limited_yaw_rate(yaw_rate: float, gains: Gains) -> float:
 
 
 @wp.func
+def within_inclination(force: wp.vec3, least_up: float, max_slope: float) -> wp.vec3:
+    """Return the force [N], world, with ``least_up`` upwards at least and within a slope, the tan of an inclination."""
+    up = wp.max(force[2], least_up)
+    shrink = wp.min(max_slope * up * inverse_root(wp.max(force[0] * force[0] + force[1] * force[1], 1.0e-18)), 1.0)
+    return wp.vec3(shrink * force[0], shrink * force[1], up)
+
+
+@wp.func
 def limited_force(gains: Gains, acceleration: wp.vec3) -> wp.vec3:
     """Return the force [N], world, ``m (a - g)`` within the inclination."""
     weight = gains.mass * gains.gravity
-    up = wp.max(gains.mass * acceleration[2] + weight, 0.1 * weight)
-    x = gains.mass * acceleration[0]
-    y = gains.mass * acceleration[1]
-    shrink = wp.min(gains.max_slope * up * inverse_root(wp.max(x * x + y * y, 1.0e-18)), 1.0)
-    return wp.vec3(shrink * x, shrink * y, up)
+    force = gains.mass * acceleration + wp.vec3(0.0, 0.0, weight)
+    return within_inclination(force, LEAST_LIFT * weight, gains.max_slope)
 
 
 @wp.func

@@ -71,7 +71,7 @@ def timing_of(cfg: ControllerCfg, dt: float) -> Timing:
 
 def remembers(cfg: ControllerCfg) -> bool:
     """Return whether a controller needs memory."""
-    return cfg.inner is not None or cfg.rate_hz is not None or cfg.action_delay > 0.0
+    return cfg.inner is not None or cfg.autopilot is not None or cfg.rate_hz is not None or cfg.action_delay > 0.0
 
 
 def _steps(name: str, value: float, unit: str, span: float, dt: float) -> int:

@@ -6,8 +6,8 @@ from functools import partial
 from math import pi
 
 from aerial_gym.config import CONFIG_DIR, load, summary_in
+from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.config.joint import BASE, CreepCfg
-from aerial_gym.config.px4 import Px4Cfg
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import CapsuleCfg, CollisionCfg, RobotCfg, SphereCfg, load_robot
 from aerial_gym.config.sim import STANDARD_GRAVITY

@@ -13,6 +13,7 @@ from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp
 from aerial_gym.interop.rows.transport import load_quat, store_row, store_vector
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.physics import BodyState
+from aerial_gym.physics.fused.functions import euler_of
 from aerial_gym.robots.finite import NonFinite
 
 RootRow = wp.types.vector(length=13, dtype=wp.float32)
@@ -33,14 +34,12 @@ class DerivedArrays:
 
 @wp.func
 def derive(q: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3):
-    """Return the derived states of one environment. Source of the angles: Diebel (2006), eq. 290."""
-    roll = wp.atan2(2.0 * (q[3] * q[0] + q[1] * q[2]), 1.0 - 2.0 * (q[0] * q[0] + q[1] * q[1]))
-    pitch = wp.asin(wp.clamp(2.0 * (q[3] * q[1] - q[2] * q[0]), -1.0, 1.0))
-    yaw = wp.atan2(2.0 * (q[3] * q[2] + q[0] * q[1]), 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2]))
-    level = wp.quat(0.0, 0.0, wp.sin(0.5 * yaw), wp.cos(0.5 * yaw))
+    """Return the derived states of one environment."""
+    euler = euler_of(q)
+    level = wp.quat(0.0, 0.0, wp.sin(0.5 * euler[2]), wp.cos(0.5 * euler[2]))
     turn = wp.quat_rotate(q, ang_vel)
     lin_vel_body = wp.quat_rotate_inv(q, lin_vel)
-    return turn, lin_vel_body, level, wp.quat_rotate_inv(level, lin_vel), wp.vec3(roll, pitch, yaw)
+    return turn, lin_vel_body, level, wp.quat_rotate_inv(level, lin_vel), euler
 
 
 @wp.func

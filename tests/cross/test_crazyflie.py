@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.cross.firmware.crazyflie_pairs import lee_pair, mellinger_pair, pid_pair, read_vectors
+from tests.cross.firmware.crazyflie_pairs import lee_pair, mellinger_pair, pid_pair, power_pair, read_vectors
 
 
 @pytest.fixture(scope="module")
@@ -43,3 +43,13 @@ def test_mellinger_without_thrust_has_no_moment(vectors: dict[str, Tensor]) -> N
     assert int(falls.sum()) > 50
     assert not ours[falls][:, 1:].any()
     assert not theirs[falls][:, 1:].any()
+
+
+def test_power_distribution_is_the_firmwares(vectors: dict[str, Tensor]) -> None:
+    """Halves of moments are whole counts there, so that rotors differ by one at most, and by two where one is cut off."""
+    ours, theirs = power_pair(vectors)
+    cut = ((theirs == 0.0) | (theirs == 65535.0)).any(-1)
+    off = (ours - theirs).abs().amax(-1)
+    assert float(off[~cut].max()) <= 1.0
+    assert float(off[cut].max()) <= 2.0
+    assert 1000 < int(cut.sum()) < 9000

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
-from aerial_gym.config.betaflight import BetaflightCfg
+from aerial_gym.config.autopilots.betaflight import BetaflightCfg
 from aerial_gym.control.betaflight.loop import RELAXED_FROM
 from aerial_gym.control.cascade_fused import make_remembering, make_two_levels
-from aerial_gym.control.lee_fused import read_vec3
-from aerial_gym.control.px4.px4_fused import write_vec3
+from aerial_gym.control.lee_fused import read_vec3, write_vec3
 from aerial_gym.control.px4.rates import LowPass2
 from aerial_gym.control.timing import Timing
 from aerial_gym.physics.fused.command import make_limited, make_speed_of
@@ -131,8 +130,8 @@ def make_loop(
 
     @wp.func
     def run_loop(
-        params: command_type, gains: BetaflightRows, ang_vel: wp.vec3, setpoint: wp.vec4, arrays: LawArrays, env: int,
-        since: int, dt: float,
+        params: command_type, gains: BetaflightRows, attitude: wp.quat, ang_vel: wp.vec3, setpoint: wp.vec4,
+        arrays: LawArrays, env: int, since: int, dt: float,
     ) -> vector:  # fmt: skip
         span = wp.static(period) * dt
         seen = gyro2(gyro1(ang_vel, arrays, env, since), arrays, env, since)

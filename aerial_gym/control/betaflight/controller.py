@@ -17,12 +17,13 @@ from types import MappingProxyType
 import torch
 from torch import Tensor
 
-from aerial_gym.config.betaflight import BetaflightCfg
+from aerial_gym.config.autopilots.betaflight import BetaflightCfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.betaflight import betaflight_fused
 from aerial_gym.control.betaflight.loop import actual_rate, integral_share, mixed, weakening
 from aerial_gym.control.betaflight.parameters import filters_of, parameters_of, require_fit
+from aerial_gym.control.gains import autopilot_of
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.px4.rates import low_passed
 from aerial_gym.control.remembering import RememberingController, layout_of
@@ -47,7 +48,8 @@ class BetaflightController(RememberingController):
 
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
         """Take the configuration, the declared vehicle, gravity [m/s²], the physics step [s] and the robot's own settings."""
-        self._own = own = betaflight_of(cfg, control)
+        own: BetaflightCfg = autopilot_of(cfg, control)
+        self._own = own
         self.timing = timing = timing_of(replace(cfg, betaflight=own), dt)
         self.allocation = Allocation(vehicle, gravity, saturation=cfg.allocation, effectiveness=control.effectiveness)
         require_fit(cfg.law, vehicle, self.allocation)
@@ -113,14 +115,6 @@ class BetaflightController(RememberingController):
             load_gains=betaflight_fused.load_gains,
             gains=dict(vars(self.gains)) | {"weight": self.gains.weight[:, 0]},
         )
-
-
-def betaflight_of(cfg: ControllerCfg, control: ControlCfg) -> BetaflightCfg:
-    """Return the parameters of a controller: those of the robot where it has none of its own; its own rate in any case."""
-    own = cfg.betaflight if cfg.betaflight is not None else BetaflightCfg()
-    if own.explicit or control.betaflight is None:
-        return own
-    return control.betaflight if own.rate_hz is None else replace(control.betaflight, rate_hz=own.rate_hz)
 
 
 def _held(values: Tensor, limit: Tensor) -> Tensor:

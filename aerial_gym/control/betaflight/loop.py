@@ -2,7 +2,7 @@
 
 A correction of 1 is the whole range of the motors, from their lowest to their highest speed.
 Letters: E environments, R rotors.
-Source: as in ``config.betaflight``.
+Source: as in ``config.autopilots.betaflight``.
 """
 
 from math import radians

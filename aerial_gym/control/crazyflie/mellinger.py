@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from aerial_gym.control.lee import attitude_error, attitude_from_force
+from aerial_gym.control.lee import LEAST_LIFT, attitude_error, attitude_from_force, limit_inclination
 from aerial_gym.math.quaternion import quat_to_matrix
 from aerial_gym.physics.state import BodyState
 
@@ -80,7 +80,14 @@ class FlatTarget:
 
 
 def mellinger_control(
-    state: BodyState, target: FlatTarget, kept: Tensor, gains: MellingerGains, *, gravity: float, dt: float
+    state: BodyState,
+    target: FlatTarget,
+    kept: Tensor,
+    gains: MellingerGains,
+    *,
+    gravity: float,
+    dt: float,
+    max_inclination: float | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return thrust [counts], (E, 1), moment [counts], body, (E, 3), and what is kept, (E, 8).
 
@@ -95,12 +102,16 @@ def mellinger_control(
         gains: Gains.
         gravity: Downward acceleration of free fall [m/s²].
         dt: Between runs [s].
+        max_inclination: Largest tilt of F [rad], whose part upwards is then a tenth of the weight at least; None: as the
+            Crazyflie flies, which turns over where a target is far below.
     """
     far, turned, before = kept.split((3, 3, 2), dim=-1)
     error, drift = target.position - state.position, target.velocity - state.lin_vel
     far = _within(far + error * dt, gains.position_limit)
     weight = target.acceleration + target.acceleration.new_tensor((0.0, 0.0, gravity))
     force = gains.position * error + gains.velocity * drift + gains.position_integral * far + gains.mass * weight
+    if max_inclination is not None:
+        force = limit_inclination(force, LEAST_LIFT * gravity * gains.mass[:, 0], max_inclination)
     rotation = quat_to_matrix(state.attitude)
     thrust = (force * rotation[:, :, 2]).sum(-1, keepdim=True)
     turn = 2.0 * attitude_error(rotation, attitude_from_force(force, target.yaw))

@@ -14,7 +14,7 @@ from math import degrees
 import torch
 from torch import Tensor
 
-from aerial_gym.math.quaternion import euler_from_quat
+from aerial_gym.math.quaternion import euler_from_quat, yaw_from_quat
 from aerial_gym.physics.state import BodyState
 
 THRUST_PER_OUTPUT = 1000.0
@@ -29,9 +29,11 @@ MOST_MOMENT = 32767.0
 LEEWAY = 1.1
 """By which the wanted velocity may exceed the largest one."""
 
-WIDTH = 21
-"""Remembered numbers: integrals of position, velocity, attitude and rates (3 each), attitude and rates before [deg, deg/s] (3
-each), wanted roll and pitch [deg] and thrust [counts]."""
+OUTER_NUMBERS = 6
+"""Remembered by position and velocity: an integral of each (3)."""
+
+INNER_NUMBERS = 12
+"""Remembered by attitude and rates: an integral of each (3), attitude and rates before [deg, deg/s] (3 each)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,66 +87,61 @@ class PidGains:
     """[counts], (E, 1)."""
 
 
-def pid_control(
-    state: BodyState,
-    position: Tensor,
-    yaw: Tensor,
-    kept: Tensor,
-    gains: PidGains,
-    *,
-    due: bool,
-    dt: float,
-    slow_dt: float,
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Return thrust [counts], (E, 1), moment [counts], body, (E, 3), and what is kept, (E, 21).
+def lean(state: BodyState, position: Tensor, kept: Tensor, gains: PidGains, *, dt: float) -> tuple[Tensor, Tensor]:
+    """Return thrust [counts], roll, pitch [deg] that position and velocity control ask for, (E, 3), and what is kept, (E, 6).
 
     Args:
         state: Measured motion.
         position: Wanted, world [m], (E, 3).
-        yaw: Wanted heading [rad], (E,).
-        kept: What was kept by the run before, (E, 21); ``fresh`` after a reset.
+        kept: What was kept by the run before, (E, 6); zeros after a reset.
         gains: Gains and limits.
-        due: Whether position and velocity run this time.
-        dt: Between runs of attitude and rates [s].
-        slow_dt: Between runs of position and velocity [s].
+        dt: Between runs [s].
     """
-    far, drift, leant, spun, angles_before, rates_before, held = kept.split(3, dim=-1)
-    angles, rates = euler_from_quat(state.attitude) * degrees(1.0), state.ang_vel * degrees(1.0)
-    if due:
-        held, far, drift = _lean(state, angles[:, 2], position, far, drift, gains, slow_dt)
-    wanted = torch.cat((held[:, :2], yaw.unsqueeze(-1) * degrees(1.0)), dim=-1)
-    turn, change = (_wrapped(x) for x in (wanted - angles, angles - angles_before))
-    wanted_rates, leant = gains.attitude.run(turn, change, leant, dt)
-    moment, spun = gains.rates.run(wanted_rates - rates, rates - rates_before, spun, dt)
-    kept = torch.cat((far, drift, leant, spun, angles, rates, held), dim=-1)
-    return held[:, 2:], moment.clamp(-MOST_MOMENT, MOST_MOMENT), kept
-
-
-def fresh(state: BodyState, thrust: Tensor) -> Tensor:
-    """Return what is kept (E, 21) when the controller begins at a state, with a thrust [counts], (E, 1)."""
-    zero = torch.zeros_like(state.position)
-    angles = euler_from_quat(state.attitude) * degrees(1.0)
-    return torch.cat((zero, zero, zero, zero, angles, zero, zero[:, :2], thrust), dim=-1)
-
-
-def _lean(
-    state: BodyState, heading: Tensor, position: Tensor, far: Tensor, drift: Tensor, gains: PidGains, dt: float
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Return wanted roll, pitch [deg] and thrust [counts], (E, 3), and both integrals, for a heading [deg], (E,)."""
-    still = torch.zeros_like(position)
+    far, drift = kept.split(3, dim=-1)
+    still, heading = torch.zeros_like(position), yaw_from_quat(state.attitude)
     error, moving = (_in_heading(x, heading) for x in (position - state.position, state.lin_vel))
     wanted, far = gains.position.run(error, still, far, dt)
     most = LEEWAY * gains.most_velocity
     wanted = torch.minimum(torch.maximum(wanted, -most), most)
     output, drift = gains.velocity.run(wanted - moving, still, drift, dt)
-    pitch, roll = (output[:, i : i + 1].clamp(-gains.most_tilt, gains.most_tilt) for i in (0, 1))
+    tilt = torch.minimum(torch.maximum(output[:, :2], -gains.most_tilt), gains.most_tilt)
     thrust = (gains.thrust_base + THRUST_PER_OUTPUT * output[:, 2:]).clamp_max(MOST_THRUST)
-    return torch.cat((-roll, pitch, torch.maximum(thrust, gains.least_thrust)), dim=-1), far, drift
+    told = torch.cat((torch.maximum(thrust, gains.least_thrust), -tilt[:, 1:], tilt[:, :1]), dim=-1)
+    return told, torch.cat((far, drift), dim=-1)
+
+
+def turn(state: BodyState, wanted: Tensor, kept: Tensor, gains: PidGains, *, dt: float) -> tuple[Tensor, Tensor]:
+    """Return the moment [counts], body, (E, 3), that attitude and rate control ask for, and what is kept, (E, 12).
+
+    Args:
+        state: Measured motion.
+        wanted: Roll, pitch and yaw [deg], (E, 3).
+        kept: What was kept by the run before, (E, 12); ``fresh`` after a reset.
+        gains: Gains and limits.
+        dt: Between runs [s].
+    """
+    leant, spun, angles_before, rates_before = kept.split(3, dim=-1)
+    angles, rates = _measured(state)
+    error, change = (_wrapped(x) for x in (wanted - angles, angles - angles_before))
+    wanted_rates, leant = gains.attitude.run(error, change, leant, dt)
+    moment, spun = gains.rates.run(wanted_rates - rates, rates - rates_before, spun, dt)
+    return moment.clamp(-MOST_MOMENT, MOST_MOMENT), torch.cat((leant, spun, angles, rates), dim=-1)
+
+
+def fresh(state: BodyState) -> Tensor:
+    """Return what ``turn`` keeps, (E, 12), when it begins at a state: nothing has changed yet."""
+    zero = torch.zeros_like(state.position)
+    return torch.cat((zero, zero, *_measured(state)), dim=-1)
+
+
+def _measured(state: BodyState) -> tuple[Tensor, Tensor]:
+    """Return roll, pitch, yaw [deg] and body rates [deg/s], (E, 3) each."""
+    return euler_from_quat(state.attitude) * degrees(1.0), state.ang_vel * degrees(1.0)
 
 
 def _in_heading(vector: Tensor, heading: Tensor) -> Tensor:
-    """Return a vector of the world (E, 3) in the frame that is turned by the heading [deg], (E,), alone."""
-    cosine, sine = torch.cos(torch.deg2rad(heading)), torch.sin(torch.deg2rad(heading))
+    """Return a vector of the world (E, 3) in the frame that is turned by the heading [rad], (E,), alone."""
+    cosine, sine = torch.cos(heading), torch.sin(heading)
     x, y, z = vector.unbind(-1)
     return torch.stack((cosine * x + sine * y, cosine * y - sine * x, z), dim=-1)
 

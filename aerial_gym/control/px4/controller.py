@@ -14,9 +14,10 @@ from types import MappingProxyType
 import torch
 from torch import Tensor
 
+from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
-from aerial_gym.config.px4 import Px4Cfg
 from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.gains import autopilot_of
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.lee import wrench_from
 from aerial_gym.control.px4 import px4_fused
@@ -53,7 +54,7 @@ class Px4Controller(RememberingController):
 
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
         """Take the configuration, the declared vehicle, gravity [m/s²], the physics step [s] and the robot's own settings."""
-        px4 = px4_of(cfg, control)
+        px4: Px4Cfg = autopilot_of(cfg, control)
         _require_fit(px4, vehicle)
         self.timing = timing = timing_of(replace(cfg, px4=px4), dt)
         law = LAWS[cfg.law]
@@ -154,14 +155,6 @@ class Px4Controller(RememberingController):
             load_gains=px4_fused.load_gains,
             gains=px4_fused.gain_rows(self.gains),
         )
-
-
-def px4_of(cfg: ControllerCfg, control: ControlCfg) -> Px4Cfg:
-    """Return the parameters of a controller: those of the robot where it has none of its own; its own rate in any case."""
-    own = cfg.px4 if cfg.px4 is not None else Px4Cfg()
-    if own.explicit or control.px4 is None:
-        return own
-    return control.px4 if own.rate_hz is None else replace(control.px4, rate_hz=own.rate_hz)
 
 
 def _require_fit(px4: Px4Cfg, vehicle: Vehicle) -> None:

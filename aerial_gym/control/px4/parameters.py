@@ -10,8 +10,8 @@ from math import radians
 import torch
 from torch import Tensor
 
+from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
-from aerial_gym.config.px4 import Px4Cfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.gains import gains_for, spacing_of
 from aerial_gym.control.px4.position import PositionGains

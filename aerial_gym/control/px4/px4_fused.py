@@ -12,7 +12,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.control.cascade_fused import make_allot, make_remembering, make_two_levels
-from aerial_gym.control.lee_fused import from_vehicle_frame, inverse_cos_pitch, read_vec3, up_of
+from aerial_gym.control.lee_fused import from_vehicle_frame, inverse_cos_pitch, read_vec3, up_of, write_vec3
 from aerial_gym.control.px4.rates import FADING_RATE, LowPass2
 from aerial_gym.control.timing import Timing
 from aerial_gym.physics.fused.command import make_speed_of
@@ -91,13 +91,6 @@ def load_gains(source: wp.array2d[float], first: int, env: int) -> Px4Rows:
     gains.hover = source[first + 45, env]
     gains.gravity = source[first + 46, env]
     return gains
-
-
-@wp.func
-def write_vec3(out: wp.array2d[float], first: int, env: int, vector: wp.vec3):
-    """Write three numbers of one environment."""
-    for i in range(3):
-        out[first + i, env] = vector[i]
 
 
 @wp.func
@@ -294,8 +287,8 @@ def make_rates(
 
     @wp.func
     def run_loop(
-        params: command_type, gains: Px4Rows, ang_vel: wp.vec3, setpoint: wp.vec4, arrays: LawArrays, env: int,
-        since: int, dt: float,
+        params: command_type, gains: Px4Rows, attitude: wp.quat, ang_vel: wp.vec3, setpoint: wp.vec4, arrays: LawArrays,
+        env: int, since: int, dt: float,
     ) -> vector:  # fmt: skip
         span = wp.static(period) * dt
         integral = read_vec3(arrays.numbers, 0, env)

@@ -141,6 +141,16 @@ def world_up(q: wp.quat) -> wp.vec3:
     )
 
 
+@wp.func
+def euler_of(q: wp.quat) -> wp.vec3:
+    """Return ZYX roll, pitch, yaw [rad]: ``math.quaternion.euler_from_quat``."""
+    return wp.vec3(
+        wp.atan2(2.0 * (q[3] * q[0] + q[1] * q[2]), 1.0 - 2.0 * (q[0] * q[0] + q[1] * q[1])),
+        wp.asin(wp.clamp(2.0 * (q[3] * q[1] - q[2] * q[0]), -1.0, 1.0)),
+        wp.atan2(2.0 * (q[3] * q[2] + q[0] * q[1]), 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2])),
+    )
+
+
 @wp.func(inline=False)
 def large_turn(rotation: wp.vec3, square: float) -> wp.quat:
     """Return the quaternion of any rotation vector [rad]. It is a call, so that its registers and instructions stand apart."""

@@ -39,7 +39,7 @@ def _crazyflie() -> dict[str, tuple[Tensor, Tensor]]:
         ours, theirs = pair(vectors)
         found[f"Crazyflie, {name}: thrust [counts]"] = ours[..., :1], theirs[..., :1]
         found[f"Crazyflie, {name}: moments [whole counts]"] = ours[..., 1:], theirs[..., 1:]
-    return found
+    return found | {"Crazyflie: motors [whole counts]": crazyflie_pairs.power_pair(vectors)}
 
 
 def table() -> str:

@@ -1,16 +1,20 @@
 """Our answers to the random states of ``crazyflie_vectors``, beside the firmware's, in our frames."""
 
-from math import inf, radians
+from math import inf
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.crazyflie.distribution import signs_of, told
 from aerial_gym.control.crazyflie.mellinger import WIDTH, FlatTarget, MellingerGains, mellinger_control
-from aerial_gym.control.crazyflie.pid import PidGains, PidLevel, fresh, pid_control
+from aerial_gym.control.crazyflie.pid import OUTER_NUMBERS, PidGains, PidLevel, fresh, lean, turn
 from aerial_gym.control.lee import LeeGains, position_control
 from aerial_gym.math.quaternion import quat_from_euler, quat_normalize
+from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.state import BodyState
+from aerial_gym.robots import ROBOTS
 from tests.cross.firmware import crazyflie_vectors as made
 
 DT = 0.002
@@ -30,7 +34,7 @@ def read_vectors() -> dict[str, Tensor]:
     with np.load(made.VECTORS) as file:
         if int(file["checksum"]) != made.states_checksum():
             raise ValueError("the random states are not those of the vectors: make them anew (crazyflie_vectors.py)")
-        return {name: torch.from_numpy(file[name]).double() for name in ("lee", "mellinger", "pid")}
+        return {name: torch.from_numpy(file[name]).double() for name in ("lee", "mellinger", "pid", "power")}
 
 
 def _split(rows: np.ndarray, *widths: int) -> list[Tensor]:
@@ -97,16 +101,25 @@ def mellinger_pair(vectors: dict[str, Tensor]) -> Pair:
 def pid_pair(vectors: dict[str, Tensor]) -> Pair:
     """Return thrust and moments [counts], (STEPS, RUNS, 4), of runs of ten steps, of which two move position and velocity."""
     rows, own = _split(made.pid_states(), 3, 3, 3, 3, 3, 1), default_pid_gains(made.RUNS)
-    kept, found = None, []
+    outer, inner, told, found = torch.zeros(made.RUNS, OUTER_NUMBERS, dtype=torch.float64), None, None, []
     for k, step in enumerate(zip(*(part.unbind(1) for part in rows), strict=True)):
         angles, at, moving, gyro, goal, yaw = step
         state = _state(quat_from_euler(torch.deg2rad(angles)), at, moving, gyro)
-        kept = fresh(state, torch.zeros_like(at[:, :1])) if kept is None else kept
-        thrust, moment, kept = pid_control(
-            state, goal, yaw[:, 0] * radians(1.0), kept, own, due=k % 5 == 0, dt=DT, slow_dt=5 * DT
-        )
-        found.append(torch.cat((thrust, moment.trunc()), dim=-1))
+        if told is None or k % 5 == 0:
+            told, outer = lean(state, goal, outer, own, dt=5 * DT)
+        if inner is None:  # the firmware begins with no rates before
+            inner = torch.cat((fresh(state)[:, :9], torch.zeros_like(at)), dim=-1)
+        moment, inner = turn(state, torch.cat((told[:, 1:], yaw), dim=-1), inner, own, dt=DT)
+        found.append(torch.cat((told[:, :1], moment.trunc()), dim=-1))
     return torch.stack(found), _nose_down(vectors["pid"]).transpose(0, 1)
+
+
+def power_pair(vectors: dict[str, Tensor]) -> Pair:
+    """Return the counts of the four rotors, (N, 4), of which the firmware's are whole numbers."""
+    vehicle = vehicle_from_config(ROBOTS.get("crazyflie_21"), num_envs=1, dtype=torch.float64)
+    signs = signs_of("position", vehicle, Allocation(vehicle, GRAVITY), GRAVITY)
+    counts = _nose_down(torch.from_numpy(made.power_states()).double())
+    return told(counts[:, :1], counts[:, 1:], signs), vectors["power"]
 
 
 def default_pid_gains(num_envs: int) -> PidGains:

@@ -1,16 +1,18 @@
-"""Golden vectors of the Crazyflie firmware's controllers: 10,000 random states each of Lee, Mellinger and the PID cascade.
+"""Golden vectors of the Crazyflie firmware's controllers: 10,000 random states each of Lee, Mellinger and the PID cascade, and
+10,000 counts through its power distribution.
 
     python -m tests.cross.firmware.crazyflie_vectors --library libcrazyflie.so
 
-asks a library of the host into which ``controller_lee.c``, ``controller_mellinger.c``, ``controller_pid.c`` and what they
-include were compiled (``UNIT_TEST_MODE``; GPL-3, none of it is kept here) and writes what they answer. It is asked through its
-public structures alone. States are not written: they follow from the seed, and a checksum says whether they still do.
+asks a library of the host into which ``controller_lee.c``, ``controller_mellinger.c``, ``controller_pid.c``,
+``power_distribution_quadrotor.c`` and what they include were compiled (``UNIT_TEST_MODE``; GPL-3, none of it is kept here) and
+writes what they answer. It is asked through its public structures alone. States are not written: they follow from the seed, and
+a checksum says whether they still do.
 Units are the firmware's: degrees, PWM counts; its pitch is positive with the nose up, its quaternions are xyzw.
 """
 
 import argparse
 import ctypes
-from ctypes import Structure, Union, byref, c_float, c_int, c_int16, c_uint32, c_uint64
+from ctypes import Structure, Union, byref, c_float, c_int, c_int16, c_int32, c_uint16, c_uint32, c_uint64
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +28,8 @@ RUNS = 1000
 
 LEE_ROWS = 12_000
 """A fifth more, as not all of them can be compared (``crazyflie_pairs.lee_pair``)."""
+
+POWER_ROWS = 10_000
 
 Vector = c_float * 3
 MELLINGER = (
@@ -89,6 +93,18 @@ class Control(Structure):
     _fields_ = (("answer", Answer), ("mode", c_int))
 
 
+class Uncapped(Structure):
+    """``motors_thrust_uncapped_t``."""
+
+    _fields_ = (("motors", c_int32 * 4),)
+
+
+class Pwm(Structure):
+    """``motors_thrust_pwm_t``."""
+
+    _fields_ = (("motors", c_uint16 * 4),)
+
+
 class Lee(Structure):
     """``controllerLee_t``, up to its gains; the rest is room for what it keeps."""
 
@@ -150,9 +166,17 @@ def pid_states() -> Array:
     return np.concatenate((angles, *places, gyro, np.float32(0.4) * draw(RUNS, STEPS, 3), yaw), axis=-1)
 
 
+def power_states() -> Array:
+    """Return thrust, roll, pitch, yaw [whole counts], (POWER_ROWS, 4): a third of each size, of which the last is cut off."""
+    draw = Draws(SEED + 3)
+    size = np.repeat(np.array((2000.0, 8000.0, 30000.0), np.float32), (POWER_ROWS + 2) // 3)[:POWER_ROWS, None]
+    thrust = draw(POWER_ROWS, 1, low=0.0, high=65535.0)
+    return np.trunc(np.concatenate((thrust, size * draw(POWER_ROWS, 3)), axis=-1))
+
+
 def states_checksum() -> int:
     """Return a number of all states."""
-    return checksum(*lee_states(), *mellinger_states(), pid_states())
+    return checksum(*lee_states(), *mellinger_states(), pid_states(), power_states())
 
 
 def _fill(row: Array) -> tuple[State, Sensors, Setpoint]:
@@ -175,7 +199,12 @@ def _counts(control: Control) -> tuple[float, int, int, int]:
 
 def answers(library: ctypes.CDLL) -> dict[str, Array]:
     """Return what the controllers answer, by name: Lee in SI, the others in counts."""
-    return {"lee": _ask_lee(library), "mellinger": _ask_mellinger(library), "pid": _ask_pid(library)}
+    return {
+        "lee": _ask_lee(library),
+        "mellinger": _ask_mellinger(library),
+        "pid": _ask_pid(library),
+        "power": _ask_power(library),
+    }
 
 
 def _ask_lee(library: ctypes.CDLL) -> Array:
@@ -227,6 +256,17 @@ def _ask_pid(library: ctypes.CDLL) -> Array:
             library.controllerPid(*map(byref, (control, wanted, sensors, state)), c_uint32(2 * k))
             found.append(_counts(control))
     return np.array(found, np.float32).reshape(RUNS, STEPS, 4)
+
+
+def _ask_power(library: ctypes.CDLL) -> Array:
+    found = []
+    for thrust, roll, pitch, yaw in power_states():
+        control, uncapped, capped = Control(), Uncapped(), Pwm()
+        control.answer.counts = Counts(int(roll), int(pitch), int(yaw), float(thrust))
+        library.powerDistribution(byref(control), byref(uncapped))
+        library.powerDistributionCap(byref(uncapped), byref(capped))
+        found.append(list(capped.motors))
+    return np.array(found, np.float32)
 
 
 def _nose_up(angles: Array) -> tuple[float, float, float]:

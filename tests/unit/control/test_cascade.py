@@ -7,9 +7,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.config.betaflight import BetaflightCfg
+from aerial_gym.config.autopilots.betaflight import BetaflightCfg
+from aerial_gym.config.autopilots.crazyflie import CrazyfliePidCfg, MellingerCfg
+from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.config.controller import ControllerCfg, RateLoopCfg
-from aerial_gym.config.px4 import Px4Cfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.cascade import CascadeController
 from aerial_gym.control.timing import timing_of
@@ -230,6 +231,20 @@ TUNED = BetaflightCfg(
 )  # fmt: skip
 """Every part of Betaflight's rate loop."""
 
+EVERY_MELLINGER = MellingerCfg(
+    massThrust=15000.0,
+    ki_m_xy=40.0,
+    ki_m_z=500.0,
+    i_range_m_xy=0.02,
+    kd_omega_rp=3.0,
+    i_range_z=0.01,
+)
+EVERY_PID = CrazyfliePidCfg(
+    rate_hz=250.0, position_ki=(0.1, 0.2, 0.5), attitude_ki=(3.0, 3.0, 1.0), attitude_kd=(0.01, 0.0, 0.35),
+    attitude_limit=(0.02, 0.02, 360.0), rate_kd=(0.1, 0.1, 0.0), rate_limit=(3.0, 3.0, 100.0), velocity_max=(0.3, 0.5, 0.2),
+)  # fmt: skip
+"""Every part of the Crazyflie's controllers."""
+
 CASES = {
     "everything": (BUSY, ()),
     "with effects": (replace(BUSY, law="attitude"), ("gusts", "actuation_delay", "rotor_drag")),
@@ -241,11 +256,22 @@ CASES = {
         replace(CONTROLLERS.get("betaflight_rate_control"), rate_hz=50.0, delay=0.014, betaflight=TUNED),
         (),
     ),
+    **{name: (CONTROLLERS.get(name), ()) for name in CONTROLLERS.names() if name.startswith("crazyflie_")},
+    "all of Mellinger": (
+        replace(
+            CONTROLLERS.get("crazyflie_mellinger_control"), rate_hz=250.0, action_delay=0.004, mellinger=EVERY_MELLINGER
+        ),
+        (),
+    ),
+    "all of the Crazyflie's PID": (
+        replace(CONTROLLERS.get("crazyflie_pid_control"), rate_hz=50.0, delay=0.014, crazyflie_pid=EVERY_PID),
+        (),
+    ),
     "all of PX4": (replace(CONTROLLERS.get("px4_position_control"), rate_hz=50.0, delay=0.014, px4=FILTERED), ()),
 }
 
 
-AS_USERS_HAVE_THEM = ("everything", "all of Betaflight", "all of PX4")
+AS_USERS_HAVE_THEM = ("everything", "all of Betaflight", "all of PX4", "all of Mellinger", "all of the Crazyflie's PID")
 """Those whose kernels are optimised: each kind of loop with all its parts."""
 
 

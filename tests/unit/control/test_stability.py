@@ -50,6 +50,8 @@ def test_the_spectral_radius_of_a_rate_loop_is_that_of_its_two_by_two() -> None:
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("robot", ["base_quadrotor", "tinyprop", "neural_fly_quad", "crazyflie_2x_arpl"])
 def test_registered_robots_come_to_rest_at_every_sim(law: str, robot: str) -> None:
+    if robot == "neural_fly_quad" and law.startswith("crazyflie_"):
+        pytest.skip("declares no yaw torque, and is refused (test_controller.py)")
     for sim in (SIMS.get(name) for name in SIMS):
         assert radius(ROBOTS.get(robot), CONTROLLERS.get(law), sim.dt) < 1.0
 

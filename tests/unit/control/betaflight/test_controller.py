@@ -9,7 +9,7 @@ from math import pi, radians, sqrt
 import pytest
 import torch
 
-from aerial_gym.config.betaflight import SCALES, BetaflightCfg
+from aerial_gym.config.autopilots.betaflight import SCALES, BetaflightCfg
 from aerial_gym.config.controller import RateLoopCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller
@@ -248,5 +248,5 @@ def test_what_it_cannot_fly_is_refused_by_name() -> None:
         law_of(BetaflightCfg(gyro_lpf1_type="BIQUAD", gyro_lpf1_static_hz=600.0))
     with pytest.raises(ConfigError, match="tpa_mode = 'X': must be D or PD"):
         BetaflightCfg(tpa_mode="X")
-    with pytest.raises(ConfigError, match="px4 and betaflight are two rate loops"):
+    with pytest.raises(ConfigError, match="px4 and betaflight are 2 autopilots"):
         replace(CONTROLLERS.get("px4_rate_control"), betaflight=BetaflightCfg())

@@ -9,9 +9,9 @@ from math import pi, sqrt
 import pytest
 import torch
 
+from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg, RateLoopCfg
 from aerial_gym.config.loader import build
-from aerial_gym.config.px4 import Px4Cfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller
 from aerial_gym.control.allocation import Allocation

@@ -5,16 +5,15 @@ that a robot without tuning flies. Numbers without unit are normalised as in PX4
 and of torque what changes them by about all of their thrust (``control.px4.parameters.unit_wrench``).
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import inf
 
+from aerial_gym.config.autopilots.tuned import Tuned
 from aerial_gym.errors import ConfigError
-
-NOT_GAINS = frozenset(("rate_hz", "source"))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Px4Cfg:
+class Px4Cfg(Tuned):
     """Gains, limits and filters of ``px4_rate_control``, ``px4_attitude_control`` and ``px4_position_control``.
 
     Every number is >= 0 and finite; None has it derived. Cut-offs of 0 leave a filter out, which is the default: the simulated
@@ -167,10 +166,7 @@ class Px4Cfg:
     """Where the numbers come from."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name != "source" and value is not None and not 0.0 <= value < inf:
-                raise ConfigError(f"Px4Cfg.{field.name} = {value!r}: must be >= 0 and finite")
+        super().__post_init__()
         for name, low, high in (
             ("rate_hz", 0.0, inf), ("MC_YAW_WEIGHT", 0.0, 1.0), ("MPC_TILTMAX_AIR", 0.0, 89.9), ("MPC_THR_MAX", 0.0, 1.0),
             ("MPC_XY_VEL_P_ACC", 0.0, inf),
@@ -180,8 +176,3 @@ class Px4Cfg:
                 raise ConfigError(f"Px4Cfg.{name} = {value!r}: must be > {low:g} and at most {high:g}")
         if self.THR_MDL_FAC is not None and self.THR_MDL_FAC > 1.0:
             raise ConfigError(f"Px4Cfg.THR_MDL_FAC = {self.THR_MDL_FAC!r}: must be from 0 to 1")
-
-    @property
-    def explicit(self) -> bool:
-        """Whether any gain, limit or filter is not as this class has it: then the loop is someone's tuning."""
-        return any(getattr(self, f.name) != f.default for f in fields(self) if f.name not in NOT_GAINS)

@@ -6,12 +6,11 @@ gives as compatible with Betaflight's (docs.rs). Gains that are left out are der
 (``control.betaflight.parameters``).
 """
 
-from dataclasses import dataclass, fields
-from math import inf, pi
+from dataclasses import dataclass
+from math import pi
 
+from aerial_gym.config.autopilots.tuned import Tuned
 from aerial_gym.errors import ConfigError
-
-NOT_GAINS = frozenset(("rate_hz", "source"))
 
 PER_DEGREE = 180.0 / pi / 1000.0
 """From a thousandth of the motors' range per deg/s to the whole range per rad/s."""
@@ -27,7 +26,7 @@ rad/s² of the setpoint. Of f in percent, as its defaults are; by this size they
 
 
 @dataclass(frozen=True, kw_only=True)
-class BetaflightCfg:
+class BetaflightCfg(Tuned):
     """Rates, gains, filters and mixer of ``betaflight_rate_control``.
 
     Every number is >= 0 and finite; None has it derived. Cut-offs of 0 leave a filter out, which is the default: the simulated
@@ -130,10 +129,7 @@ class BetaflightCfg:
     """Where the numbers come from."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, (int, float)) and not 0.0 <= value < inf:
-                raise ConfigError(f"BetaflightCfg.{field.name} = {value!r}: must be >= 0 and finite")
+        super().__post_init__()
         kinds = dict.fromkeys(_TYPES, ("PT1", "BIQUAD"))
         kinds |= {"rates_type": ("NONE", "ACTUAL"), "iterm_relax": ("OFF", "RP", "RPY"), "tpa_mode": ("D", "PD")}
         for name, allowed in kinds.items():
@@ -147,11 +143,6 @@ class BetaflightCfg:
             raise ConfigError(
                 f"BetaflightCfg.tpa_breakpoint = {self.tpa_breakpoint!r}: must be from 1000 to below 2000"
             )
-
-    @property
-    def explicit(self) -> bool:
-        """Whether anything is not as this class has it: then the loop is someone's tuning."""
-        return any(getattr(self, f.name) != f.default for f in fields(self) if f.name not in NOT_GAINS)
 
 
 _TYPES = ("gyro_lpf1_type", "gyro_lpf2_type", "dterm_lpf1_type", "dterm_lpf2_type")

@@ -1,0 +1,1 @@
+"""Parameters of real autopilots, by the names that these give them."""

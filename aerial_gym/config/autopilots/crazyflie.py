@@ -1,0 +1,126 @@
+"""Parameters of the Crazyflie's controllers, by the names that its firmware gives them.
+
+Counts are those of its PWM: 65535 is all that a rotor gives. What is left out is derived from the vehicle
+(``control.crazyflie.parameters``), so that any quadrotor flies; ``config/robots/crazyflie_21.yaml`` has the numbers that a
+Crazyflie 2 comes with.
+Source: Bitcraze's documentation, "Controllers in the Crazyflie" and "Mellinger controller", and its list of parameters.
+"""
+
+from dataclasses import dataclass
+
+from aerial_gym.config.autopilots.tuned import Tuned
+from aerial_gym.config.checks import Vec3
+
+
+@dataclass(frozen=True, kw_only=True)
+class MellingerCfg(Tuned):
+    """Parameters of ``crazyflie_mellinger_control``: group ``ctrlMel``. It runs at ``ControllerCfg.rate_hz``, there 500 Hz."""
+
+    mass: float | None = None
+    """What it takes the vehicle to weigh [kg]."""
+
+    massThrust: float | None = None
+    """Counts per newton of all rotors together."""
+
+    kp_xy: float | None = None
+    """Force per position error [N/m], along world x and y; all that ends in ``_z``: along or about z."""
+
+    kd_xy: float | None = None
+    """Per velocity error [N s/m]."""
+
+    ki_xy: float = 0.0
+    """Per integrated position error [N/(m s)]; that of a Crazyflie is 0.05."""
+
+    i_range_xy: float = 2.0
+    """Largest integrated error [m s]."""
+
+    kp_z: float | None = None
+    kd_z: float | None = None
+    ki_z: float = 0.0
+    i_range_z: float = 0.4
+
+    kR_xy: float | None = None
+    """Moment per attitude error [counts], of which 2 is a radian, about body x and y."""
+
+    kw_xy: float | None = None
+    """Per rate error [counts s/rad]."""
+
+    ki_m_xy: float = 0.0
+    """Per integrated attitude error [counts/s]."""
+
+    i_range_m_xy: float = 1.0
+    """Largest integrated error [s]."""
+
+    kd_omega_rp: float = 0.0
+    """Per difference of the rate error [counts s²/rad], about body x and y."""
+
+    kR_z: float | None = None
+    kw_z: float | None = None
+    ki_m_z: float = 0.0
+    i_range_m_z: float = 1500.0
+
+    source: str = "Derived: aerial_gym.control.crazyflie.parameters"
+    """Where the numbers come from."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CrazyfliePidCfg(Tuned):
+    """Parameters of ``crazyflie_pid_control``; attitude and rates run at ``rate_hz``, the rest at ``ControllerCfg.rate_hz``.
+
+    Three numbers are of x, y, z, or of roll, pitch, yaw.
+    """
+
+    rate_hz: float | None = None
+    """How often attitude and rates are controlled [1/s]; every physics step if not given. The Crazyflie: 500, and position and
+    velocity 100."""
+
+    position_kp: Vec3 | None = None
+    """Velocity per position error [1/s]: ``posCtlPid.xKp``, ``yKp``, ``zKp``."""
+
+    position_ki: Vec3 = (0.0, 0.0, 0.0)
+    """Per integrated one [1/s²]: ``posCtlPid.xKi``, ..."""
+
+    velocity_max: Vec3 = (1.0, 1.0, 1.0)
+    """Largest wanted velocity [m/s], a tenth less than what is let through: ``posCtlPid.xVelMax``, ..."""
+
+    velocity_kp: Vec3 | None = None
+    """Tilt per velocity error [deg s/m], along z output, a thousand counts each, [s/m]: ``velCtlPid.vxKp``, ..."""
+
+    velocity_ki: Vec3 | None = None
+    """Per integrated one [deg/m], [1/m]: ``velCtlPid.vxKi``, ..."""
+
+    tilt_limit: float = 20.0
+    """Largest roll and pitch [deg]: ``posCtlPid.rLimit``, ``pLimit``."""
+
+    thrust_base: float | None = None
+    """Counts that hover: ``posCtlPid.thrustBase``."""
+
+    thrust_min: float | None = None
+    """Least counts: ``posCtlPid.thrustMin``. If not given it is 5/9 of those that hover, as the Crazyflie's are."""
+
+    attitude_kp: Vec3 | None = None
+    """Rate per angle [1/s]: ``pid_attitude.roll_kp``, ..."""
+
+    attitude_ki: Vec3 = (0.0, 0.0, 0.0)
+    """Per integrated one [1/s²]: ``pid_attitude.roll_ki``, ..."""
+
+    attitude_kd: Vec3 = (0.0, 0.0, 0.0)
+    """Per measured change of the angle [-]: ``pid_attitude.roll_kd``, ..."""
+
+    attitude_limit: Vec3 = (20.0, 20.0, 360.0)
+    """Largest integrated angle [deg s]."""
+
+    rate_kp: Vec3 | None = None
+    """Counts per rate error [s/deg]: ``pid_rate.roll_kp``, ..."""
+
+    rate_ki: Vec3 | None = None
+    """Per integrated one [1/deg]: ``pid_rate.roll_ki``, ..."""
+
+    rate_kd: Vec3 = (0.0, 0.0, 0.0)
+    """Per measured change of the rate [s²/deg]: ``pid_rate.roll_kd``, ..."""
+
+    rate_limit: Vec3 | None = None
+    """Largest integrated rate [deg]. If not given half of the moment that counts allow is left to it."""
+
+    source: str = "Derived: aerial_gym.control.crazyflie.parameters"
+    """Where the numbers come from."""

@@ -1,0 +1,144 @@
+"""The Crazyflie's controllers as controllers with memory.
+
+    crazyflie_mellinger_control:  action -> Mellinger (at ``ControllerCfg.rate_hz``) -> counts -> rotors
+    crazyflie_pid_control:        action -> position, velocity (at ``ControllerCfg.rate_hz``)
+                                         -> attitude, rates (at ``CrazyfliePidCfg.rate_hz``) -> counts -> rotors
+
+Unlike there, integrals and differences begin with what is measured first, so that a reset gives no kick, and what Mellinger
+wants of the thrust leans no further than other laws' (``ControlCfg.max_inclination``).
+Not modelled: the estimator, compensation of the battery, and the cut of the thrust near the ground.
+Frames: world z up, body x forward, y left, z up. Letters: E environments, R rotors, M remembered numbers.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from math import degrees
+from types import MappingProxyType
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.controller import ControlCfg, ControllerCfg
+from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.crazyflie import crazyflie_fused, mellinger, pid
+from aerial_gym.control.crazyflie.distribution import MOST_COUNTS, require_position, signs_of, told
+from aerial_gym.control.crazyflie.parameters import Derived, mellinger_gains, pid_gains
+from aerial_gym.control.gains import autopilot_of
+from aerial_gym.control.laws import LAWS
+from aerial_gym.control.remembering import RememberingController, layout_of
+from aerial_gym.control.timing import timing_of
+from aerial_gym.physics.fused.law import FusedLaw
+from aerial_gym.physics.law_memory import LawMemory
+from aerial_gym.physics.state import BodyState
+from aerial_gym.physics.vehicle import Vehicle
+
+
+class _Crazyflie(RememberingController):
+    """What both have in common: a power distribution."""
+
+    named_gains: Mapping[str, Tensor] = MappingProxyType({})
+    """None are drawn: they are the Crazyflie's parameters, one set for all."""
+
+    own_numbers: int
+    """Remembered between runs."""
+
+    def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
+        """Take the configuration, the declared vehicle, gravity [m/s²], the physics step [s] and the robot's own settings."""
+        assert cfg.autopilot is not None
+        require_position(cfg.law)
+        self._own = autopilot_of(cfg, control)
+        self.timing = timing = timing_of(replace(cfg, **{cfg.autopilot: self._own}), dt)
+        self.action_names = LAWS[cfg.law].action
+        self.allocation = Allocation(vehicle, gravity, saturation=cfg.allocation, effectiveness=control.effectiveness)
+        self._signs = signs_of(cfg.law, vehicle, self.allocation, gravity)
+        self._derived = Derived(cfg, control, vehicle, self.allocation, self._signs, gravity=gravity, timing=timing)
+        self._layout = layout_of(
+            timing, own=self.own_numbers, num_rotors=vehicle.num_rotors, num_actions=len(self.action_names)
+        )
+
+    def _speeds(self, thrust: Tensor, moment: Tensor) -> Tensor:
+        """Return rotor speeds [rad/s], (E, R), for a thrust (E, 1) and moments (E, 3) [counts]."""
+        return self.allocation.speed(self.allocation.high * told(thrust, moment, self._signs) / MOST_COUNTS)
+
+
+class MellingerController(_Crazyflie):
+    """``crazyflie_mellinger_control``."""
+
+    own_numbers = mellinger.WIDTH
+
+    def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
+        """Take what ``make_controller`` does."""
+        super().__init__(cfg, vehicle, gravity, dt=dt, control=control)
+        self.gains = mellinger_gains(self._own, self._derived)
+
+    @property
+    def _wish_at_rest(self) -> Tensor:
+        return torch.zeros_like(self.gains.mass[0, 0])  # nothing is on its way
+
+    def _run(self, state: BodyState, action: Tensor, memory: LawMemory, sent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        still, kept = torch.zeros_like(state.position), memory.numbers[:, : self.own_numbers]
+        begins = (memory.since == 0).unsqueeze(-1)
+        kept = torch.cat((kept[:, :6], torch.where(begins, state.ang_vel[:, :2], kept[:, 6:])), dim=-1)
+        target = mellinger.FlatTarget(
+            position=action[:, :3], velocity=still, acceleration=still, yaw=action[:, 3], rates=still
+        )
+        thrust, moment, kept = mellinger.mellinger_control(
+            state,
+            target,
+            kept,
+            self.gains,
+            gravity=self._derived.gravity,
+            dt=self.timing.loop * self.timing.dt,
+            max_inclination=self._derived.tilt,
+        )
+        return self._speeds(thrust, moment), kept, sent
+
+    def fused(self) -> FusedLaw:
+        """Return the twin in Warp."""
+        return self._fused(
+            remembering=crazyflie_fused.mellinger_maker(
+                self.timing,
+                self._layout,
+                self._signs,
+                gravity=self._derived.gravity,
+                max_inclination=self._derived.tilt,
+            ),
+            gains_type=crazyflie_fused.MellingerRows,
+            load_gains=crazyflie_fused.load_mellinger,
+            gains=crazyflie_fused.mellinger_rows(self.gains),
+        )
+
+
+class PidController(_Crazyflie):
+    """``crazyflie_pid_control``."""
+
+    own_numbers = pid.INNER_NUMBERS + pid.OUTER_NUMBERS
+
+    def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
+        """Take what ``make_controller`` does."""
+        super().__init__(cfg, vehicle, gravity, dt=dt, control=control)
+        self.gains = pid_gains(self._own, self._derived)
+
+    @property
+    def _wish_at_rest(self) -> Tensor:
+        return self.gains.thrust_base[0, 0]
+
+    def _run(self, state: BodyState, action: Tensor, memory: LawMemory, sent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        timing, gains = self.timing, self.gains
+        own = memory.numbers[:, : self.own_numbers]
+        inner, outer = own.split((pid.INNER_NUMBERS, pid.OUTER_NUMBERS), dim=-1)
+        inner = torch.where((memory.since == 0).unsqueeze(-1), pid.fresh(state), inner)
+        wish, after = pid.lean(state, action[:, :3], outer, gains, dt=timing.law * timing.dt)
+        outer = torch.where((memory.since % timing.law == 0).unsqueeze(-1), after, outer)
+        setpoint, sent = self._pass_on(torch.cat((wish, degrees(1.0) * action[:, 3:]), dim=-1), sent, memory.since)
+        moment, inner = pid.turn(state, setpoint[:, 1:], inner, gains, dt=timing.loop * timing.dt)
+        return self._speeds(setpoint[:, :1], moment), torch.cat((inner, outer), dim=-1), sent
+
+    def fused(self) -> FusedLaw:
+        """Return the twin in Warp."""
+        return self._fused(
+            remembering=crazyflie_fused.pid_maker(self.timing, self._layout, self._signs),
+            gains_type=crazyflie_fused.PidRows,
+            load_gains=crazyflie_fused.load_pid,
+            gains=crazyflie_fused.pid_rows(self.gains),
+        )

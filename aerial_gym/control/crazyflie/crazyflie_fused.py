@@ -1,0 +1,315 @@
+"""The Crazyflie's controllers for one environment in the fused kernel, the twins of ``control.crazyflie.controller``.
+
+Which way each rotor turns the vehicle is the same for all environments and stands in the code.
+Letters: E environments, R rotors.
+"""
+
+from collections.abc import Callable, Mapping
+from math import degrees, tan
+from typing import TYPE_CHECKING
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.control.cascade_fused import make_remembering, make_two_levels
+from aerial_gym.control.crazyflie.distribution import MOST_COUNTS, SHARES
+from aerial_gym.control.crazyflie.mellinger import MOST_COUNTS as MOST_OF_MELLINGER
+from aerial_gym.control.crazyflie.pid import INNER_NUMBERS, LEEWAY, MOST_MOMENT, MOST_THRUST, THRUST_PER_OUTPUT
+from aerial_gym.control.lee import LEAST_LIFT
+from aerial_gym.control.lee_fused import read_vec3, within_inclination, write_vec3
+from aerial_gym.control.timing import Timing
+from aerial_gym.physics.fused.command import make_limited, make_speed_of
+from aerial_gym.physics.fused.functions import euler_of, rotate_inverse, unit
+from aerial_gym.physics.fused.law import FusedLaw
+from aerial_gym.physics.fused.memory import LawArrays
+from aerial_gym.physics.fused.types import rotor_types
+
+if TYPE_CHECKING:
+    from aerial_gym.control.crazyflie.mellinger import MellingerGains
+    from aerial_gym.control.crazyflie.pid import PidGains
+    from aerial_gym.control.remembering import Layout
+
+Maker = Callable[[FusedLaw, int, bool], wp.Function]
+
+
+@wp.struct
+class MellingerRows:
+    """All gains: ``mellinger.MellingerGains``."""
+
+    mass: float  # [kg]
+    mass_thrust: float  # [counts/N]
+    position: wp.vec3  # [N/m]
+    velocity: wp.vec3  # [N s/m]
+    position_integral: wp.vec3  # [N/(m s)]
+    position_limit: wp.vec3  # [m s]
+    attitude: wp.vec3  # [counts]
+    rate: wp.vec3  # [counts s/rad]
+    attitude_integral: wp.vec3  # [counts/s]
+    attitude_limit: wp.vec3  # [s]
+    rate_difference: float  # [counts s²/rad]
+
+
+def mellinger_rows(gains: "MellingerGains") -> Mapping[str, Tensor]:
+    """Return the fields of ``MellingerRows`` in their order, each (E, ...)."""
+    return {
+        name: rows[:, 0] if MellingerRows.cls.__annotations__[name] is float else rows
+        for name, rows in vars(gains).items()
+    }
+
+
+@wp.func
+def load_mellinger(source: wp.array2d[float], first: int, env: int) -> MellingerRows:
+    """Return the gains of one environment from the rows of (N, E)."""
+    gains = MellingerRows()
+    gains.mass = source[first, env]
+    gains.mass_thrust = source[first + 1, env]
+    gains.position = read_vec3(source, first + 2, env)
+    gains.velocity = read_vec3(source, first + 5, env)
+    gains.position_integral = read_vec3(source, first + 8, env)
+    gains.position_limit = read_vec3(source, first + 11, env)
+    gains.attitude = read_vec3(source, first + 14, env)
+    gains.rate = read_vec3(source, first + 17, env)
+    gains.attitude_integral = read_vec3(source, first + 20, env)
+    gains.attitude_limit = read_vec3(source, first + 23, env)
+    gains.rate_difference = source[first + 26, env]
+    return gains
+
+
+@wp.struct
+class LevelRows:
+    """Three PID controllers side by side: ``pid.PidLevel``."""
+
+    proportional: wp.vec3
+    integral: wp.vec3
+    derivative: wp.vec3
+    limit: wp.vec3
+
+
+@wp.struct
+class PidRows:
+    """All gains: ``pid.PidGains``."""
+
+    position: LevelRows
+    velocity: LevelRows
+    attitude: LevelRows
+    rates: LevelRows
+    most_velocity: wp.vec3  # [m/s]
+    most_tilt: float  # [deg]
+    thrust_base: float  # [counts]
+    least_thrust: float  # [counts]
+
+
+NUM_OF_LEVEL = 12
+"""Numbers of ``LevelRows``."""
+
+LEVELS = ("position", "velocity", "attitude", "rates")
+
+
+def pid_rows(gains: "PidGains") -> Mapping[str, Tensor]:
+    """Return the fields of ``PidRows`` in their order, each (E, ...); those of levels as ``level.field``."""
+    levels = {f"{level}.{name}": rows for level in LEVELS for name, rows in vars(getattr(gains, level)).items()}
+    singles = {name: getattr(gains, name)[:, 0] for name in ("most_tilt", "thrust_base", "least_thrust")}
+    return levels | {"most_velocity": gains.most_velocity} | singles
+
+
+@wp.func
+def load_level(source: wp.array2d[float], first: int, env: int) -> LevelRows:
+    """Return one level of one environment."""
+    level = LevelRows()
+    level.proportional = read_vec3(source, first, env)
+    level.integral = read_vec3(source, first + 3, env)
+    level.derivative = read_vec3(source, first + 6, env)
+    level.limit = read_vec3(source, first + 9, env)
+    return level
+
+
+@wp.func
+def load_pid(source: wp.array2d[float], first: int, env: int) -> PidRows:
+    """Return the gains of one environment from the rows of (N, E)."""
+    gains = PidRows()
+    gains.position = load_level(source, first, env)
+    gains.velocity = load_level(source, first + NUM_OF_LEVEL, env)
+    gains.attitude = load_level(source, first + 2 * NUM_OF_LEVEL, env)
+    gains.rates = load_level(source, first + 3 * NUM_OF_LEVEL, env)
+    at = first + 4 * NUM_OF_LEVEL
+    gains.most_velocity = read_vec3(source, at, env)
+    gains.most_tilt = source[at + 3, env]
+    gains.thrust_base = source[at + 4, env]
+    gains.least_thrust = source[at + 5, env]
+    return gains
+
+
+@wp.func
+def within(vector: wp.vec3, limit: wp.vec3) -> wp.vec3:
+    """Return a vector within plus and minus a limit."""
+    return wp.min(wp.max(vector, -limit), limit)
+
+
+@wp.func
+def run_level(level: LevelRows, error: wp.vec3, change: wp.vec3, integral: wp.vec3, dt: float):
+    """Return output and integral: ``pid.PidLevel.run``."""
+    grown = within(integral + dt * error, level.limit)
+    output = wp.cw_mul(level.proportional, error) + wp.cw_mul(level.integral, grown)
+    return output - wp.cw_mul(level.derivative, change) / dt, grown
+
+
+@wp.func
+def in_heading(vector: wp.vec3, cosine: float, sine: float) -> wp.vec3:
+    """Return a vector of the world in the frame of the heading."""
+    return wp.vec3(cosine * vector[0] + sine * vector[1], cosine * vector[1] - sine * vector[0], vector[2])
+
+
+@wp.func
+def wrapped(angles: wp.vec3) -> wp.vec3:
+    """Return roll, pitch, yaw [deg] with the yaw within half a turn."""
+    return wp.vec3(angles[0], angles[1], angles[2] - 360.0 * wp.floor((angles[2] + 180.0) / 360.0))
+
+
+def make_motors(num_rotors: int, general: bool, signs: Tensor) -> wp.Function:
+    """Return the power distribution: from thrust and moments [counts] to commanded speeds."""
+    types = rotor_types(num_rotors, general)
+    command_type, vector, turns = types.command, types.vector, types.rows
+    limited, speed_of = make_limited(num_rotors, general), make_speed_of(num_rotors, general)
+    shares = turns(*(signs.cpu() * torch.tensor(SHARES, dtype=signs.dtype)).flatten().tolist())
+
+    @wp.func
+    def motors(params: command_type, thrust: float, moment: wp.vec3) -> vector:
+        counts = wp.static(shares) * moment
+        for i in range(wp.static(num_rotors)):
+            counts[i] = counts[i] + thrust
+        excess = wp.max(wp.max(counts) - wp.static(MOST_COUNTS), 0.0)
+        force = vector()
+        for i in range(wp.static(num_rotors)):
+            force[i] = params.high[i] * wp.max(counts[i] - excess, 0.0) / wp.static(MOST_COUNTS)
+        return speed_of(params, limited(params, force))
+
+    return motors
+
+
+def mellinger_maker(
+    timing: Timing, layout: "Layout", signs: Tensor, *, gravity: float, max_inclination: float
+) -> Maker:
+    """Return what composes ``mellinger.mellinger_control`` for a number of rotors: ``FusedLaw.remembering``."""
+    period, slope = float(timing.loop), tan(max_inclination)
+
+    def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
+        types = rotor_types(num_rotors, general)
+        command_type, vector, motors = types.command, types.vector, make_motors(num_rotors, general, signs)
+
+        @wp.func
+        def run(
+            params: command_type, gains: MellingerRows, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3,
+            ang_vel: wp.vec3, action: wp.vec4, arrays: LawArrays, env: int, since: int, dt: float,
+        ) -> vector:  # fmt: skip
+            span = wp.static(period) * dt
+            error = wp.vec3(action[0], action[1], action[2]) - position
+            far = within(read_vec3(arrays.numbers, 0, env) + span * error, gains.position_limit)
+            weight = gains.mass * wp.static(gravity)
+            force = wp.cw_mul(gains.position, error) - wp.cw_mul(gains.velocity, lin_vel)
+            force += wp.cw_mul(gains.position_integral, far) + wp.vec3(0.0, 0.0, weight)
+            force = within_inclination(force, wp.static(LEAST_LIFT) * weight, wp.static(slope))
+            seen = rotate_inverse(attitude, force)
+            d3 = unit(seen)
+            heading = wp.vec3(wp.cos(action[3]), wp.sin(action[3]), 0.0)
+            d2 = unit(wp.cross(d3, rotate_inverse(attitude, heading)))
+            d1 = wp.cross(d2, d3)
+            turn = wp.vec3(d3[1] - d2[2], d1[2] - d3[0], d2[0] - d1[1])
+            turned = within(read_vec3(arrays.numbers, 3, env) - span * turn, gains.attitude_limit)
+            moment = wp.cw_mul(gains.attitude_integral, turned) - wp.cw_mul(gains.attitude, turn)
+            moment -= wp.cw_mul(gains.rate, ang_vel)
+            for i in range(2):
+                before = arrays.numbers[6 + i, env]
+                if since == 0:
+                    before = ang_vel[i]
+                moment[i] = moment[i] - gains.rate_difference * (ang_vel[i] - before) / span
+                arrays.numbers[6 + i, env] = ang_vel[i]
+            most = wp.static(MOST_OF_MELLINGER)
+            moment = within(moment, wp.vec3(most, most, most))
+            if seen[2] <= 0.0:
+                moment = wp.vec3()
+                far = wp.vec3()
+                turned = wp.vec3()
+            write_vec3(arrays.numbers, 0, env, far)
+            write_vec3(arrays.numbers, 3, env, turned)
+            return motors(params, gains.mass_thrust * seen[2], moment)
+
+        return make_remembering(law, num_rotors, general, timing, layout, run)
+
+    return make
+
+
+def make_lean(timing: Timing) -> wp.Function:
+    """Return ``pid.lean``: thrust [counts], roll, pitch and yaw [deg] that an action asks for."""
+    period = float(timing.law)
+
+    @wp.func
+    def lean(
+        gains: PidRows, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, action: wp.vec4,
+        arrays: LawArrays, env: int, since: int, dt: float,
+    ) -> wp.vec4:  # fmt: skip
+        span = wp.static(period) * dt
+        yaw = euler_of(attitude)[2]
+        cosine = wp.cos(yaw)
+        sine = wp.sin(yaw)
+        error = in_heading(wp.vec3(action[0], action[1], action[2]) - position, cosine, sine)
+        moving = in_heading(lin_vel, cosine, sine)
+        far = read_vec3(arrays.numbers, wp.static(INNER_NUMBERS), env)
+        drift = read_vec3(arrays.numbers, wp.static(INNER_NUMBERS + 3), env)
+        wanted, far = run_level(gains.position, error, wp.vec3(), far, span)
+        wanted = within(wanted, wp.static(LEEWAY) * gains.most_velocity)
+        output, drift = run_level(gains.velocity, wanted - moving, wp.vec3(), drift, span)
+        write_vec3(arrays.numbers, wp.static(INNER_NUMBERS), env, far)
+        write_vec3(arrays.numbers, wp.static(INNER_NUMBERS + 3), env, drift)
+        thrust = wp.min(gains.thrust_base + wp.static(THRUST_PER_OUTPUT) * output[2], wp.static(MOST_THRUST))
+        return wp.vec4(
+            wp.max(thrust, gains.least_thrust),
+            -wp.clamp(output[1], -gains.most_tilt, gains.most_tilt),
+            wp.clamp(output[0], -gains.most_tilt, gains.most_tilt),
+            wp.static(degrees(1.0)) * action[3],
+        )
+
+    return lean
+
+
+def make_turn(num_rotors: int, general: bool, timing: Timing, signs: Tensor) -> wp.Function:
+    """Return ``pid.turn`` and the power distribution behind it."""
+    types = rotor_types(num_rotors, general)
+    command_type, vector, motors = types.command, types.vector, make_motors(num_rotors, general, signs)
+    period = float(timing.loop)
+
+    @wp.func
+    def run_loop(
+        params: command_type, gains: PidRows, attitude: wp.quat, ang_vel: wp.vec3, setpoint: wp.vec4, arrays: LawArrays,
+        env: int, since: int, dt: float,
+    ) -> vector:  # fmt: skip
+        span = wp.static(period) * dt
+        angles = wp.static(degrees(1.0)) * euler_of(attitude)
+        rates = wp.static(degrees(1.0)) * ang_vel
+        turned = wp.vec3()
+        sped = wp.vec3()
+        if since > 0:
+            turned = wrapped(angles - read_vec3(arrays.numbers, 6, env))
+            sped = rates - read_vec3(arrays.numbers, 9, env)
+        error = wrapped(wp.vec3(setpoint[1], setpoint[2], setpoint[3]) - angles)
+        wanted, leant = run_level(gains.attitude, error, turned, read_vec3(arrays.numbers, 0, env), span)
+        moment, spun = run_level(gains.rates, wanted - rates, sped, read_vec3(arrays.numbers, 3, env), span)
+        write_vec3(arrays.numbers, 0, env, leant)
+        write_vec3(arrays.numbers, 3, env, spun)
+        write_vec3(arrays.numbers, 6, env, angles)
+        write_vec3(arrays.numbers, 9, env, rates)
+        most = wp.static(MOST_MOMENT)
+        return motors(params, setpoint[0], within(moment, wp.vec3(most, most, most)))
+
+    return run_loop
+
+
+def pid_maker(timing: Timing, layout: "Layout", signs: Tensor) -> Maker:
+    """Return what composes the cascade for a number of rotors: ``FusedLaw.remembering``."""
+
+    def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
+        run_loop = make_turn(num_rotors, general, timing, signs)
+        run = make_two_levels(law, num_rotors, general, timing, make_lean(timing), run_loop)
+        return make_remembering(law, num_rotors, general, timing, layout, run)
+
+    return make

@@ -1,0 +1,120 @@
+"""Parameters of the Crazyflie's controllers as rows of tensors, what is left out derived from the vehicle.
+
+Derived gains are those of ``control.gains`` in counts: torque at hover per attitude and rate error, acceleration per position
+and velocity error. Integrals are slower than their proportional part by a², with the a of that module.
+Letters: E environments, R rotors.
+"""
+
+from collections.abc import Sequence
+from math import degrees
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.autopilots.crazyflie import CrazyfliePidCfg, MellingerCfg
+from aerial_gym.config.controller import ControlCfg, ControllerCfg
+from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.crazyflie.distribution import MOST_COUNTS, torque_per_count
+from aerial_gym.control.crazyflie.mellinger import MellingerGains
+from aerial_gym.control.crazyflie.pid import MOST_MOMENT, THRUST_PER_OUTPUT, PidGains, PidLevel
+from aerial_gym.control.gains import gains_for, spacing_of
+from aerial_gym.control.lee import LeeGains
+from aerial_gym.control.timing import Timing
+from aerial_gym.physics.vehicle import Vehicle, share_row
+
+INTEGRAL_SHARE = 0.5
+"""Of the largest moment that an integral may take if nothing else is said."""
+
+LEAST_OF_HOVER = 5.0 / 9.0
+"""Least thrust as a share of the one that hovers: 20000 of 36000 counts, as a Crazyflie has them."""
+
+
+class Derived:
+    """Gains of a declared vehicle in counts, and rows for all environments."""
+
+    def __init__(
+        self, cfg: ControllerCfg, control: ControlCfg, vehicle: Vehicle, allocation: Allocation, signs: Tensor, *,
+        gravity: float, timing: Timing,
+    ) -> None:  # fmt: skip
+        base: LeeGains = gains_for(
+            cfg, control, vehicle, allocation, gravity=gravity, dt=timing.loop * timing.dt, extra_lag=timing.extra_lag
+        )
+        self.vehicle, self.slow = vehicle, spacing_of(control.phase_margin) ** 2
+        self.mass, self.per_newton = float(vehicle.mass[0]), MOST_COUNTS / float(allocation.high[0].sum())
+        self.gravity, self.tilt = base.gravity, base.max_inclination
+        unit = torque_per_count(vehicle, allocation, signs, gravity)
+        self.position, self.velocity = base.position[0], base.velocity[0]
+        self.attitude, self.rate = base.attitude[0] / unit, base.rate[0] / unit  # counts per rad, per rad/s
+        self.of_rate = base.rate[0] / vehicle.inertia[0].diagonal()  # 1/s
+        self.of_attitude = base.attitude[0] / base.rate[0]
+        self.of_position = base.position[0] / base.velocity[0]
+
+    def row(self, numbers: Sequence[float] | Tensor) -> Tensor:
+        """Return numbers as a row of all environments."""
+        like = self.vehicle.mass
+        return share_row(torch.as_tensor(numbers, dtype=like.dtype, device=like.device), len(like))
+
+    def given(self, numbers: Sequence[float] | None, derived: Tensor | Sequence[float]) -> Tensor:
+        """Return what is given, else what is derived, as a row."""
+        return self.row(derived if numbers is None else numbers)
+
+
+def _used(limit: Tensor, integral: Tensor) -> Tensor:
+    """Return the limits (E, 3) of integrals with gains (E, 3): nothing is gathered of which nothing comes."""
+    return torch.where(integral > 0.0, limit, torch.zeros_like(limit))
+
+
+def _level(proportional: Tensor, integral: Tensor, derivative: Tensor, limit: Tensor) -> PidLevel:
+    return PidLevel(proportional=proportional, integral=integral, derivative=derivative, limit=_used(limit, integral))
+
+
+def mellinger_gains(own: MellingerCfg, derived: Derived) -> MellingerGains:
+    """Return the gains of ``crazyflie_mellinger_control``, the same in all environments."""
+
+    def axes(xy: float | None, z: float | None, default: Tensor) -> Tensor:
+        return derived.row([float(d) if g is None else g for g, d in zip((xy, xy, z), default, strict=True)])
+
+    mass = derived.mass if own.mass is None else own.mass
+    none = torch.zeros(3)
+    far, turned = axes(own.ki_xy, own.ki_z, none), axes(own.ki_m_xy, own.ki_m_z, none)
+    return MellingerGains(
+        mass=derived.row([mass]),
+        mass_thrust=derived.row([derived.per_newton if own.massThrust is None else own.massThrust]),
+        position=axes(own.kp_xy, own.kp_z, mass * derived.position),
+        velocity=axes(own.kd_xy, own.kd_z, mass * derived.velocity),
+        position_integral=far,
+        position_limit=_used(axes(own.i_range_xy, own.i_range_z, none), far),
+        attitude=axes(own.kR_xy, own.kR_z, 0.5 * derived.attitude),
+        rate=axes(own.kw_xy, own.kw_z, derived.rate),
+        attitude_integral=turned,
+        attitude_limit=_used(axes(own.i_range_m_xy, own.i_range_m_z, none), turned),
+        rate_difference=derived.row([own.kd_omega_rp]),
+    )
+
+
+def pid_gains(own: CrazyfliePidCfg, derived: Derived) -> PidGains:
+    """Return the gains of ``crazyflie_pid_control``, the same in all environments."""
+    given, row = derived.given, derived.row
+    tilting = degrees(1.0) / derived.gravity * derived.velocity
+    lifting = derived.mass * derived.per_newton / THRUST_PER_OUTPUT * derived.velocity
+    velocity = given(own.velocity_kp, torch.cat((tilting[:2], lifting[2:])))
+    rate = given(own.rate_kp, derived.rate / degrees(1.0))
+    spun = given(own.rate_ki, rate[0] * derived.of_rate / derived.slow)
+    largest = INTEGRAL_SHARE * MOST_MOMENT / torch.where(spun[0] > 0.0, spun[0], torch.inf)
+    hover = derived.mass * derived.gravity * derived.per_newton if own.thrust_base is None else own.thrust_base
+    none, free = row((0.0, 0.0, 0.0)), row((torch.inf,) * 3)
+    return PidGains(
+        position=_level(given(own.position_kp, derived.of_position), row(own.position_ki), none, free),
+        velocity=_level(velocity, given(own.velocity_ki, velocity[0] * derived.of_position / derived.slow), none, free),
+        attitude=_level(
+            given(own.attitude_kp, derived.of_attitude),
+            row(own.attitude_ki),
+            row(own.attitude_kd),
+            row(own.attitude_limit),
+        ),
+        rates=_level(rate, spun, row(own.rate_kd), given(own.rate_limit, largest)),
+        most_velocity=row(own.velocity_max),
+        most_tilt=row([own.tilt_limit]),
+        thrust_base=row([hover]),
+        least_thrust=row([LEAST_OF_HOVER * hover if own.thrust_min is None else own.thrust_min]),
+    )
