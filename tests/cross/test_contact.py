@@ -23,7 +23,7 @@ def low_starts(count: int, dtype: torch.dtype) -> BodyState:
     return start(count, height=height, dtype=dtype, attitude=quat_normalize(q), lin_vel=v, ang_vel=w)
 
 
-@pytest.mark.parametrize("integrator", ["euler", "rk4"])
+@pytest.mark.parametrize("integrator", ["euler", pytest.param("rk4", marks=pytest.mark.slow)])
 def test_one_step_on_the_ground_is_that_of_torch(integrator: str, request: pytest.FixtureRequest) -> None:
     """Fused kernel and scene (a plane) against float64 torch: 64 vehicles with an offset centre of mass, one step of 10 ms.
 

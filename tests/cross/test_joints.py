@@ -160,7 +160,13 @@ AS_USERS_HAVE_IT = "everything, late"
 """The one whose kernel is optimised."""
 
 
-@pytest.mark.parametrize("case", CASES)
+LIKE_OTHERS = ("morphy on a stand", "snake of five, position", "law with memory")
+"""Their parts are those of the other cases."""
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=pytest.mark.slow if case in LIKE_OTHERS else ()) for case in CASES]
+)
 def test_the_fused_step_is_that_of_the_reference(case: str, request: pytest.FixtureRequest) -> None:
     if case == AS_USERS_HAVE_IT:
         request.getfixturevalue("optimised")

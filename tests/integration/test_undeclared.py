@@ -19,10 +19,10 @@ from benchmarks.undeclared import make_case
 pytestmark = pytest.mark.usefixtures("no_pixels")
 
 SHORT: dict[str, Any] = {"num_train": 4, "num_test": 2, "duration_s": 8.0, "rate_hz": 200}
-EFFECTS = ("actuation_delay",)
+EFFECTS = ("com_offset",)
 MORE_EFFECTS = (
     "motor_tilt",
-    "rotor_drag", "com_offset", "quadratic_drag", "thrust_coefficient", "motor_time_constant", "constant_wind",
+    "rotor_drag", "actuation_delay", "quadratic_drag", "thrust_coefficient", "motor_time_constant", "constant_wind",
     "h_force_flapping", "imu_misalignment", "battery_sag", "ceiling_effect", "downwash", "joint_spring", "joint_creep",
 )  # fmt: skip
 CAUSES = ("unknown_position",)
@@ -102,6 +102,7 @@ def test_a_slung_payload_is_found_with_its_mass_and_length(size: str, tmp_path: 
     assert found["length"] == pytest.approx(true["length"], rel=0.05)
 
 
+@pytest.mark.slow
 def test_gusts_are_found_with_their_moments(tmp_path: Path) -> None:
     """Within three standard deviations; no residual falls, and the noise floor holds what they add."""
     verdict, truth = run_case(tmp_path, {"gusts": "moderate"}, 211)

@@ -94,7 +94,7 @@ def test_energy_of_a_dropped_ball_never_grows(damping_ratio: float) -> None:
 
 
 @pytest.mark.usefixtures("optimised")
-@pytest.mark.parametrize("integrator", ["euler", "rk4"])
+@pytest.mark.parametrize("integrator", ["euler", pytest.param("rk4", marks=pytest.mark.slow)])
 def test_a_tumbling_vehicle_comes_to_rest_and_never_gains_energy(integrator: str) -> None:
     """Random attitudes, velocities and spins of a cage of eight feet: never more energy than at the start, then rest."""
     g, count = torch.Generator().manual_seed(0), 256

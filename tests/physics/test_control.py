@@ -137,7 +137,9 @@ def controller_for(name: str, robot_name: str, num_envs: int) -> Controller:
     return make_controller(CONTROLLERS.get(name), vehicle, 9.81, dt=0.01)
 
 
-@pytest.mark.parametrize(("robot", "num_envs"), [("base_quadrotor", 1), ("tinyprop", 5)])
+@pytest.mark.parametrize(
+    ("robot", "num_envs"), [("base_quadrotor", 1), pytest.param("tinyprop", 5, marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize(
     ("name", "span", "action", "field", "expected"),
     [

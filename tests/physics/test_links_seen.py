@@ -251,6 +251,7 @@ def test_the_image_of_a_swinging_arm_flows(rate, device) -> None:
     torch.testing.assert_close(flow_of_ball(manager, back, 1), torch.tensor([focal * rate, 0.0]), rtol=1e-5, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_turning_lidar_sees_a_swinging_arm_where_it_was_at_each_column(device) -> None:
     """Each column as a lidar at rest sees the arm at the angle of that moment; from the arm itself it is in its place."""
     lidar = LidarCfg(

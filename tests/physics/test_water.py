@@ -42,7 +42,7 @@ def state_of(**parts: tuple[float, ...]) -> BodyState:
     return BodyState(**(rest | rows), attitude=quat_from_euler(euler), rotor_speed=torch.zeros(1, 4, dtype=F64))
 
 
-def after(model: Model, state: BodyState, span: float, *, steps: int = 1000) -> BodyState:
+def after(model: Model, state: BodyState, span: float, *, steps: int = 200) -> BodyState:
     still = torch.zeros(1, 4, dtype=F64)
     return advance(model, INTEGRATORS["rk4"], SpeedControl(), state, still, span / steps, steps)
 
@@ -61,7 +61,7 @@ def test_linear_and_quadratic_drag_balance_a_weight() -> None:
     """``l v + q v² = m g - B``: the positive root, along body x of a hull that hangs nose down."""
     drag = NO_DRAG | {"lx": 4.0, "qx": 9.0, "ly": 50.0}
     model = hull({"hull_drag": drag, "buoyancy": {"force": 10.0, "x": 0.0, "y": 0.0, "z": 0.0}})
-    end = after(model, state_of(euler=(0.0, pi / 2, 0.0)), 20.0, steps=4000)
+    end = after(model, state_of(euler=(0.0, pi / 2, 0.0)), 20.0, steps=400)
     push = MASS * G - 10.0
     assert -end.lin_vel[0, 2].item() == pytest.approx((sqrt(16.0 + 36.0 * push) - 4.0) / 18.0, rel=1e-9)
 
@@ -93,7 +93,7 @@ def test_a_neutral_hull_swings_like_a_pendulum() -> None:
     """Small angles: ``cos(w t)`` with ``w² = B h / (J + J_A)``; h between the centres, wherever the origin is."""
     effects = {"buoyancy": {"force": MASS * G, "x": 0.0, "y": 0.0, "z": 0.05}, "added_inertia": TURNED}
     model, angle, span = hull(effects, com=(0.0, 0.0, -0.15)), 1e-4, 2.0
-    end = after(model, state_of(euler=(angle, 0.0, 0.0)), span, steps=2000)
+    end = after(model, state_of(euler=(angle, 0.0, 0.0)), span, steps=1000)
     frequency = sqrt(MASS * G * 0.2 / (INERTIA[0] + TURNED["x"]))
     roll = 2.0 * end.attitude[0, 0].item()
     assert roll == pytest.approx(angle * cos(frequency * span), abs=1e-6 * angle)
@@ -115,7 +115,7 @@ def test_a_tumbling_hull_in_still_water_keeps_energy_impulse_and_moment() -> Non
     start = state_of(
         position=(1.0, -2.0, 0.5), euler=(0.4, -0.7, 1.1), lin_vel=(1.0, 0.5, -0.8), ang_vel=(2.0, -1.0, 3.0)
     )
-    end = after(model, start, 1.0, steps=2000)
+    end = after(model, start, 0.5, steps=1000)
     assert (end.lin_vel - start.lin_vel).norm() > 0.1  # the hull itself does not keep its velocity
     for before, now in zip(momentum_of(model, start), momentum_of(model, end), strict=True):
         torch.testing.assert_close(now, before, rtol=1e-9, atol=1e-9)

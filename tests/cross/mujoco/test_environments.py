@@ -96,6 +96,7 @@ def test_a_robot_at_rest_shows_its_weight_and_no_crash() -> None:
     assert not sim.gtd["crashes"].any()
 
 
+@pytest.mark.slow
 def test_obstacles_push_by_the_hook_that_follows_each_substep() -> None:
     """Against the walls of a room: it stays in it, pushed by them, as on torch."""
     env = replace(ENVIRONMENTS.get("env_with_obstacles"), contact=ContactCfg(friction=0.2, crash_speed=5.0))

@@ -82,6 +82,7 @@ def test_two_processes_are_equal_bit_for_bit_and_learn_as_one(tmp_path: Path) ->
             torch.testing.assert_close(both[key], one[key], atol=1e-4, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_two_processes_leave_together_go_on_bit_for_bit_and_in_another_number(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -151,7 +151,7 @@ def test_stiff_joints_are_the_rigid_vehicle_in_its_reference_pose() -> None:
     model = model_of(robot, replace(bending[0], spring=type(bending[0].spring)(**spring)))
     state = replace(at_rest(model), ang_vel=torch.tensor([0.3, -0.2, 0.5], dtype=F64).expand(3, 3))
     other = to_mass_state(expected, BodyState(**{n: v for n, v in vars(state).items() if not n.startswith("joint")}))
-    for _ in range(1000):
+    for _ in range(400):
         state = jointed_step(model, state, command, command[:, :0], 1e-4)
         other = semi_implicit_euler(expected, other, command, 1e-4)
     both = zip(state.tensors()[:4], to_body_state(expected, other).tensors()[:4], strict=True)
@@ -193,13 +193,13 @@ def test_an_arm_on_a_stand_falls_back_by_the_published_law() -> None:
     state = replace(thrown(at_rest(model)), joint_pos=torch.tensor([[0.24, 0.0] * 4], dtype=F64))
     angle, rate, dt = 0.24, 0.0, 2.5e-4
     off = torch.zeros(1, 4, dtype=F64)
-    for k in range(1200):
+    for k in range(600):
         state = jointed_step(model, state, off, off[:, :0], dt)
         away = angle - 0.125
         weight = G / 0.07 * (cos(angle) - cos(0.125))
         rate += dt * (-5834.85 * abs(away) * away - 229.24 * rate + weight)
         angle += dt * rate
-        if k % 50 == 0:
+        if k % 25 == 0:
             assert float(state.joint_pos[0, 0]) == pytest.approx(angle, abs=1e-4)
     assert float(state.position.norm() + state.ang_vel.norm()) == 0.0  # the stand holds
 
@@ -321,17 +321,16 @@ def let_go(dt: float, num_steps: int) -> Tensor:
 
 
 def test_an_arm_that_creeps_is_the_generalised_maxwell_model() -> None:
-    """Against the modes of the linear law by which ``identify joint`` fits records; the error of 0.5 s halves with the step."""
+    """Against the modes of the linear law by which ``identify joint`` fits records; the error of 0.4 s halves with the step."""
     inertia = 0.01625 * 0.07**2
     params = {"stiffness": 0.388 / inertia, "damping": 0.0045 / inertia, "rest": 0.1247}
     for i, element in enumerate(CREEP, 1):
         params |= {f"stiffness_{i}": element.stiffness / inertia, f"time_{i}": element.time}
     apart = []
-    for dt in (2e-3, 1e-3, 5e-4):
-        number = round(0.5 / dt)
+    for dt in (2e-3, 1e-3):
+        number = round(0.4 / dt)
         time = dt * np.arange(1, number + 1)
         right = joint_angle(Release(path="", time=time, angle=time, start=0.4), params)
         apart.append(float(np.sqrt(np.mean((let_go(dt, number).numpy() - right) ** 2))))
     assert apart[0] / apart[1] == pytest.approx(2.0, abs=0.2)
-    assert apart[1] / apart[2] == pytest.approx(2.0, abs=0.2)
-    assert apart[2] < 1e-3
+    assert apart[1] < 2e-3

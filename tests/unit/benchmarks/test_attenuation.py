@@ -1,10 +1,13 @@
 """Rotor speeds of the independent plant: what is expected follows the truth where what is logged does not."""
 
+import pytest
+
 from benchmarks.attenuation import Row, rows_of
 
 TORQUES = ("roll", "pitch", "yaw")
 
 
+@pytest.mark.slow
 def test_expected_speeds_follow_the_true_ones_and_logged_ones_do_not() -> None:
     """Four hovers: logged torques are mostly noise; the true ones are what is expected, one to one. Flights that move stay."""
     rows = {(row.flights, row.source): row for row in rows_of([7])}

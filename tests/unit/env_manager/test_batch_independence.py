@@ -173,10 +173,11 @@ AS_USERS_HAVE_THEM = ("agile_tracking_task", "gust_rejection_task", "navigation_
 
 LIKE_OTHERS = (
     "position_setpoint_task_morphy_stiff", "position_setpoint_task_reconfigurable", "racing_split_s_task",
-    "radar_navigation_task", "smooth_tracking_task",
+    "radar_navigation_task", "radar_navigation_task_held", "smooth_tracking_task", "racing_random_track_task",
+    "platform_landing_task", "gust_rejection_task", "any_quadrotor_task", "payload_task", "safe_navigation_task",
 )  # fmt: skip
-"""Other numbers, or fewer parts, than ``position_setpoint_task_morphy``, ``racing_random_track_task``,
-``radar_navigation_task_held``, and ``tracking_task`` with ``smooth_position_setpoint_task``."""
+"""Other numbers, or fewer parts, than ``position_setpoint_task_morphy``, ``racing_task``, ``lidar_navigation_task``,
+``agile_tracking_task``, ``motor_failure_task``, and ``tracking_task`` with ``smooth_position_setpoint_task``."""
 
 
 @pytest.mark.parametrize(

@@ -581,10 +581,10 @@ def test_draws_are_what_their_parameters_say(name: str) -> None:
     [
         ("h_force_flapping", "axial_inflow", "translational_lift", "gusts"),
         ("battery_sag", "actuation_delay", "rotor_inertia", "motor_tilt", "weak_motor"),
-        ("slung_payload", "inertia_error", "torque_ratio", "wind_shear"),
+        pytest.param(("slung_payload", "inertia_error", "torque_ratio", "wind_shear"), marks=pytest.mark.slow),
         ("ground_effect", "ceiling_effect", "downwash", "payload_mass"),
-        ("imu_bias", "imu_misalignment", "rotor_speed_scale", "motor_asymmetry"),
-        ("joint_spring", "joint_creep", "com_offset", "thrust_coefficient"),
+        pytest.param(("imu_bias", "imu_misalignment", "rotor_speed_scale", "motor_asymmetry"), marks=pytest.mark.slow),
+        pytest.param(("joint_spring", "joint_creep", "com_offset", "thrust_coefficient"), marks=pytest.mark.slow),
         tuple(UNKNOWN),
     ],
 )

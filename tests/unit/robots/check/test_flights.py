@@ -25,6 +25,7 @@ def test_derived_gains_follow_the_time_step() -> None:
     assert (found.largest_s, found.at_least) == (STEP_RANGE[1], True)
 
 
+@pytest.mark.slow
 def test_gains_that_hold_nothing_have_no_step() -> None:
     """Without damping an attitude swings for ever."""
     robot = ROBOTS.get("magpie")

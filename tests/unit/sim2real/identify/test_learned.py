@@ -133,6 +133,7 @@ def test_flights_without_velocity_and_a_robot_that_has_one_are_refused(tmp_path:
     assert train_residual(predictor, declared_params(ROBOT), judge).objections == ("the flights have no velocity",)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_pixels")
 def test_the_loop_adds_it_beside_the_verdict(tmp_path: Path) -> None:
     """Named effects come first; the verdict stays unexplained, and the corrected robot is replayed with the network.

@@ -198,7 +198,7 @@ def test_what_many_candidates_share_is_one_half() -> None:
     assert sum(found.values()) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("baselines", [1, 2])
+@pytest.mark.parametrize("baselines", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_wrong_names_are_as_rare_as_it_says(baselines: int) -> None:
     """Small and moderate weights and a weak propeller: in 1 % of draws what is named may lack the cause, and parts that do not
     show (a little mass beside a shift) are no reason to name another."""
@@ -235,6 +235,7 @@ def test_a_ratio_is_open_where_its_divisor_may_be_zero() -> None:
     assert replace(fit, params=np.array([6.0, 2.0]), covariance=np.eye(2)).ratio(0, 1) is None
 
 
+@pytest.mark.slow
 def test_nothing_is_found_in_scatter() -> None:
     """The logs differ from each other, or from the baseline, in 1 % of cases each: of 150 at most 9 with probability 99.8 %."""
     assert sum(judged(seed, np.ones(4)).verdict != "none" for seed in range(150)) <= 9

@@ -301,6 +301,7 @@ def test_the_quadratic_spring_solves_its_equation_and_waits_for_the_release() ->
     np.testing.assert_allclose(course[5:], found.y[0], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_creep_is_told_from_springs_and_its_numbers_are_found(tmp_path: Path) -> None:
     time = np.arange(-100, 1200) / 100.0
     record = Release(path="", time=time[time >= 0], angle=0.0 * time[time >= 0], start=0.4)

@@ -19,7 +19,7 @@ from tests.unit.task.navigation import make
         "position_setpoint_task",
         "navigation_task",
         "lidar_navigation_task",
-        "radar_navigation_task",
+        pytest.param("radar_navigation_task", marks=pytest.mark.slow),
         "platform_landing_task",
         "payload_task",
         "racing_split_s_task",

@@ -142,6 +142,7 @@ def test_a_reset_cuts_its_own_row_and_detach_all() -> None:
     assert not observation["observations"].requires_grad
 
 
+@pytest.mark.slow
 def test_a_saved_task_goes_on_as_if_it_had_not_stopped() -> None:
     """Lines, filter and the distance before come from the state, not from what was kept beside it."""
     first, second = (built(with_everything(), NUM_ENVS, seed=4, gradients=torch.float32) for _ in range(2))

@@ -20,8 +20,20 @@ RANDOMIZE = {
 }
 
 
-@pytest.mark.parametrize("randomize", [{}, RANDOMIZE], ids=["equal", "randomised"])
-@pytest.mark.parametrize("name", task_registry.names())
+DRAWN = ("position_setpoint_task", "lidar_navigation_task", "racing_task", "any_quadrotor_task")
+"""Tasks of one kind each that are tried with drawn parameters as well."""
+
+
+@pytest.mark.parametrize(
+    ("name", "randomize"),
+    [
+        *(pytest.param(name, {}, id=f"{name}-equal") for name in task_registry.names()),
+        *(
+            pytest.param(name, RANDOMIZE, id=f"{name}-randomised", marks=() if name in DRAWN else pytest.mark.slow)
+            for name in task_registry.names()
+        ),
+    ],
+)
 def test_a_step_makes_no_tensor_of_numbers(name: str, randomize: dict, monkeypatch: pytest.MonkeyPatch) -> None:
     cfg = replace(task_registry.get(name), num_envs=4)
     controller = "lee_velocity_control" if randomize else cfg.controller
