@@ -51,6 +51,10 @@ class CloseLoopCmd:
     """Look through each flight for a rotor or supply that fails in it, and compare it up to there only. Give it where something
     failed or may have: on measured flights that the declared vehicle misses by much there are false alarms."""
 
+    joints: bool = False
+    """Fit stiffness, damping, rest angle and friction of the robot's joints as well: by their angles (columns joint_NAME), or
+    by what the body felt if no log has any, which takes minutes."""
+
     learn_residual: bool = False
     """Add a small network for what no named effect explains, if it predicts flights left out better. It fades to zero
     outside its training data, has no name, and changes nothing in the verdict."""
@@ -81,6 +85,7 @@ class CloseLoopCmd:
                 tolerances=tolerances,
                 effects=self.effects,
                 failures=self.failures,
+                joints=self.joints,
                 learn_residual=self.learn_residual,
                 ranges=self.ranges,
                 progress=progress,

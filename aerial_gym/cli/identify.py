@@ -93,13 +93,14 @@ class JointCmd:
 
 @dataclass(frozen=True, kw_only=True)
 class JointsCmd:
-    """Stiffness, damping, rest angle and dry friction of a robot's joints from flights in which their angles were logged."""
+    """Stiffness, damping, rest angle and dry friction of a robot's joints from flights, with or without their angles logged."""
 
     robot: Annotated[str, tyro.conf.Positional]
     """Registered robot, or a robot file (.yaml), with joints."""
 
     flights: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Flight logs of the package's own layout, with a column joint_NAME, or joint_1 to joint_D, for each joint [rad]."""
+    """Flight logs of the package's own layout, with a column joint_NAME, or joint_1 to joint_D, for each joint [rad]. If no log
+    has any, all joints are fitted by what the body felt, which takes minutes."""
 
     bandwidth_hz: float = 15.0
     """Efforts are compared below this frequency [Hz]; at most a fifth of the logs' rate."""
@@ -112,13 +113,13 @@ class JointsCmd:
 
     def run(self) -> int:
         """Identify and print; return the exit status."""
-        from aerial_gym.sim2real.teststand.joint_flights import study_flown_joints
+        from aerial_gym.sim2real.teststand.joints.flights import study_flown_joints
 
         robot = _robot(self.robot)
         assert robot is not None
         with progress_bar() as progress:
             progress("reading flights, and fitting every joint", 0.1)
-            study = study_flown_joints(robot, self.flights, bandwidth=self.bandwidth_hz)
+            study = study_flown_joints(robot, self.flights, bandwidth=self.bandwidth_hz, progress=progress)
             _write(self.out, study, vars(self), self.flights)
         return _show(study, self.out, as_json=self.json)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.env_manager.sim_builder import robot_by_name
-from aerial_gym.errors import DataError
+from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.interop import one_thread
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.model import check_rotors
@@ -29,6 +29,7 @@ from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.report.ranges import with_found_ranges
 from aerial_gym.sim2real.report.run_folder import check_out_dir, whole_folder, write_record
+from aerial_gym.sim2real.teststand.joints.flights import find_joints, with_joints
 
 
 def close_loop(
@@ -44,6 +45,7 @@ def close_loop(
     tolerances: Tolerances | None = None,
     effects: Sequence[str] | None = None,
     failures: bool = False,
+    joints: bool = False,
     learn_residual: bool = False,
     ranges: bool = False,
     progress: Progress = silent,
@@ -62,6 +64,7 @@ def close_loop(
         tolerances: How well the robot is declared.
         effects: Those that are looked for; None: all that there are.
         failures: Whether each flight is looked through for what fails in it, and compared up to there.
+        joints: Whether the springs of the robot's joints are fitted to the training flights as well (``find_joints``).
         learn_residual: Whether a small network may be added for what no named effect explains. The verdict stays as it is.
         ranges: Whether robot.yaml also draws what was found from its intervals at every reset (``randomize:``).
         progress: Told what is being done.
@@ -74,6 +77,10 @@ def close_loop(
 
     check_out_dir(Path(out_dir))
     declared = robot_by_name(robot)
+    if joints and mapping is not None:
+        raise ConfigError(
+            "joints are found in logs of the package's own layout: leave the mapping out, or convert the logs"
+        )
     with one_thread():
         progress("reading flights", 0.0)
         layout = None if mapping is None else find_mapping(mapping)
@@ -94,8 +101,11 @@ def close_loop(
             progress=progress,
         )
         verdict = replace(judged.verdict, notes=(*inputs.left_out, *judged.verdict.notes))
-        judged, found = replace(judged, verdict=verdict), judged.corrected
-        corrected = with_found_ranges(found, verdict.effects) if ranges else found
+        judged = replace(judged, verdict=verdict)
+        if joints:
+            judged = with_joints(judged, find_joints(declared, [Path(path) for path in train], progress=progress))
+            verdict = judged.verdict
+        corrected = with_found_ranges(judged.corrected, verdict.effects) if ranges else judged.corrected
         progress("writing the report", 0.97)
         config = {
             "command": "close-loop",
@@ -107,6 +117,7 @@ def close_loop(
             "seed": seed,
             "effects": None if effects is None else list(effects),
             "failures": failures,
+            "joints": joints,
             "learn_residual": learn_residual,
             "ranges": ranges,
             "criteria": vars(judged.selection.criteria),

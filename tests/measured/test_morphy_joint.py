@@ -12,7 +12,7 @@ from aerial_gym import ENVIRONMENTS, SimBuilder
 from aerial_gym.config.joint import CreepCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.robots import ROBOTS
-from aerial_gym.sim2real.teststand.joint import Release, fit_joint
+from aerial_gym.sim2real.teststand.joints.record import Release, fit_joint
 
 RECORD = Path(__file__).parents[2].parent / "shared" / "data" / "bench" / "morphy_joint_step.csv"
 

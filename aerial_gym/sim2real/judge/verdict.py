@@ -144,6 +144,9 @@ class Verdict:
     failures: tuple[Failure, ...] = ()
     """What failed in flights, training flights first; these are compared up to it."""
 
+    joints: tuple[dict[str, object], ...] = ()
+    """Passive joints with their numbers, where they were looked for; those that differ from what is declared say in what."""
+
     notes: tuple[str, ...] = field(default=())
     """What was done to the logs, and other things to know."""
 
@@ -170,6 +173,7 @@ class Verdict:
             "test_flights": {found.name: found.as_mapping() for found in self.outcomes},
             "effects": [*(effect.as_mapping() for effect in self.effects), *learned],
             "failures": [failure.as_mapping() for failure in self.failures],
+            "joints": list(self.joints),
             "candidates": list(self.candidates),
             "not_testable": list(self.not_testable),
             "not_testable_because": self.not_testable,

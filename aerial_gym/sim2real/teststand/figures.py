@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from aerial_gym.sim2real.teststand.hover import HoverFit
-from aerial_gym.sim2real.teststand.joint import JointStudy
+from aerial_gym.sim2real.teststand.joints.record import JointStudy
 from aerial_gym.sim2real.teststand.static import StaticFit
 from aerial_gym.sim2real.teststand.step import StepFit
 

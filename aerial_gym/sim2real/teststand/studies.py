@@ -13,7 +13,7 @@ from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand import figures
 from aerial_gym.sim2real.teststand.balance import Balance, Change, HoverEffort, hover_effort, judge_balance
 from aerial_gym.sim2real.teststand.hover import fit_hover
-from aerial_gym.sim2real.teststand.joint import PUBLISHED, fit_joint, release_record, spans
+from aerial_gym.sim2real.teststand.joints.record import PUBLISHED, fit_joint, release_record, spans
 from aerial_gym.sim2real.teststand.report import Study, Table, rotor_files
 from aerial_gym.sim2real.teststand.static import Choice, StaticFit, fit_static
 from aerial_gym.sim2real.teststand.statistics import Estimate, rms

@@ -24,7 +24,7 @@ from aerial_gym.physics.model import Model, build_model, robot_effects
 from aerial_gym.physics.state import BodyState, JointedState, state_at_rest
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
-from aerial_gym.sim2real.teststand.joint import Release, joint_angle
+from aerial_gym.sim2real.teststand.joints.record import Release, joint_angle
 
 G = 9.81
 F64 = torch.float64

@@ -15,7 +15,7 @@ from aerial_gym.config.robot import RobotCfg, RotorCfg
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.teststand.hover import fit_hover
-from aerial_gym.sim2real.teststand.joint import Release, fit_joint, joint_angle, release_record
+from aerial_gym.sim2real.teststand.joints.record import Release, fit_joint, joint_angle, release_record
 from aerial_gym.sim2real.teststand.static import StaticFit, fit_static
 from aerial_gym.sim2real.teststand.statistics import correlated_covariance, estimates, independent_covariance
 from aerial_gym.sim2real.teststand.step import fit_steps, lag_error, simulate, step_record

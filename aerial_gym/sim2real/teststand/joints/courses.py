@@ -17,10 +17,10 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.math.quaternion import quat_normalize, quat_rotate_inverse
 from aerial_gym.physics import build_model, vehicle_from_config
-from aerial_gym.physics.articulated.articulation import articulation_of
+from aerial_gym.physics.articulated.articulation import Articulation, articulation_of
 from aerial_gym.physics.articulated.dynamics import equations
 from aerial_gym.physics.articulated.flight import link_wrenches
-from aerial_gym.physics.articulated.tree import TreeState
+from aerial_gym.physics.articulated.tree import Links, TreeState
 from aerial_gym.physics.model import robot_effects
 from aerial_gym.physics.rotor_lag import follow_command
 from aerial_gym.physics.state import BodyState
@@ -89,13 +89,8 @@ def course_of(robot: RobotCfg, log: FlightLog, angle: Array, *, bandwidth: float
     Raises:
         DataError: If the log has neither accelerometer nor velocity, no gyro, or no rotors.
     """
-    rate = 1.0 / float(np.median(np.diff(log.time)))
-    if rate < 5.0 * bandwidth:
-        raise DataError(
-            f"{log.path}: {rate:.4g} rows per second; a bandwidth of {bandwidth:g} Hz needs five times that"
-        )
-    if log.ang_vel is None or (log.specific_force is None and log.lin_vel is None):
-        raise DataError(f"{log.path}: needs omega, and acc or v, to tell what the joints gave")
+    rate = checked_rate(log, bandwidth)
+    assert log.ang_vel is not None
 
     def slow(values: Array, *, derivatives: int = 0) -> Array:
         first = lowpass(values, rate, bandwidth, derivative=derivatives > 0)
@@ -121,7 +116,7 @@ def course_of(robot: RobotCfg, log: FlightLog, angle: Array, *, bandwidth: float
         joint_vel=rows(slow(angle, derivatives=1)),
     )
     acc = torch.cat((lin_acc, rows(slow(log.ang_vel, derivatives=1)), rows(slow(angle, derivatives=2))), dim=-1)
-    effort = _efforts(robot, state, rows(slow(_rotor_states(robot, log))), acc)
+    effort = _efforts(robot, state, rows(slow(rotor_states(robot, log))), acc)
     wide = lowpass(angle, rate, rate / 5.0, derivative=True)
     side = slow(wide / np.sqrt(wide**2 + (SLOW * wide.std(axis=0)) ** 2 + 1e-30))
     edge = 2 * edge_rows(rate, bandwidth)
@@ -137,28 +132,55 @@ def course_of(robot: RobotCfg, log: FlightLog, angle: Array, *, bandwidth: float
     )
 
 
+def checked_rate(log: FlightLog, bandwidth: float) -> float:
+    """Return the rows per second of a log, if it is fast enough and has what tells how the body moved.
+
+    Raises:
+        DataError: If not.
+    """
+    rate = 1.0 / float(np.median(np.diff(log.time)))
+    if rate < 5.0 * bandwidth:
+        raise DataError(
+            f"{log.path}: {rate:.4g} rows per second; a bandwidth of {bandwidth:g} Hz needs five times that"
+        )
+    if log.ang_vel is None or (log.specific_force is None and log.lin_vel is None):
+        raise DataError(f"{log.path}: needs omega, and acc or v, to tell what the joints gave")
+    return rate
+
+
 def _efforts(robot: RobotCfg, state: TreeState, rotors: torch.Tensor, acc: torch.Tensor) -> torch.Tensor:
     """Return the efforts of joints (T, D) for a motion and its accelerations (T, 6 + D): inverse dynamics."""
-    num_rows = len(acc)
+    articulation, links, wrench = pushed_links(robot, state, rotors)
+    found = equations(articulation.tree, links, state, gravity=STANDARD_GRAVITY, wrench=wrench)
+    return ((found.mass @ acc.unsqueeze(-1)).squeeze(-1) - found.force)[:, 6:]
+
+
+def pushed_links(robot: RobotCfg, base: TreeState, rotors: torch.Tensor) -> tuple[Articulation, Links, torch.Tensor]:
+    """Return how a robot bends, its links in T rows, and what rotors and effects do to each, (T, L, 6).
+
+    Args:
+        robot: As declared.
+        base: Motion of the base.
+        rotors: States of the rotors, (T, R).
+    """
+    num_rows = len(rotors)
     vehicle = vehicle_from_config(robot, num_envs=num_rows, dtype=torch.float64)
     effects = robot_effects(robot, num_envs=num_rows, device=torch.device("cpu"), dtype=torch.float64)
     articulation = articulation_of(robot, like=vehicle.mass)
     assert articulation is not None
     model = build_model(vehicle, effects, gravity=STANDARD_GRAVITY, ceiling_height=1e3, articulation=articulation)
     body = BodyState(
-        position=state.position,
-        attitude=state.attitude,
-        lin_vel=state.lin_vel,
-        ang_vel=state.ang_vel,
+        position=base.position,
+        attitude=base.attitude,
+        lin_vel=base.lin_vel,
+        ang_vel=base.ang_vel,
         rotor_speed=rotors,
     )
     wrench = link_wrenches(model, articulation, body, torch.zeros_like(rotors))
-    links = articulation.links(model.vehicle)
-    found = equations(articulation.tree, links, state, gravity=STANDARD_GRAVITY, wrench=wrench)
-    return ((found.mass @ acc.unsqueeze(-1)).squeeze(-1) - found.force)[:, 6:]
+    return articulation, articulation.links(model.vehicle), wrench
 
 
-def _rotor_states(robot: RobotCfg, log: FlightLog) -> Array:
+def rotor_states(robot: RobotCfg, log: FlightLog) -> Array:
     """Return measured states of the rotors (T, R), or those that follow commands by the declared lag."""
     if log.rotor_speed is not None:
         return log.rotor_speed

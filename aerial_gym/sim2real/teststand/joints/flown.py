@@ -11,7 +11,7 @@ Letters: T rows, D joints, K parameters.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from aerial_gym.config.joint import JointCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.statistics import Rms
-from aerial_gym.sim2real.teststand.joint_courses import Course
+from aerial_gym.sim2real.teststand.joints.courses import Course
 from aerial_gym.sim2real.teststand.statistics import (
     Estimate,
     correlated_covariance,
@@ -108,7 +108,7 @@ def fit_flown_joints(robot: RobotCfg, courses: Sequence[Course]) -> tuple[list[F
         raise ConfigError("identify joints: this robot has no joints. identify joint fits a bench record")
     found, left_out = [], []
     for k, joint in enumerate(robot.joints.layout):
-        reason = _unfit(joint)
+        reason = unfit(joint)
         if reason:
             left_out.append(f"{joint.name}: {reason}")
         else:
@@ -116,7 +116,8 @@ def fit_flown_joints(robot: RobotCfg, courses: Sequence[Course]) -> tuple[list[F
     return found, left_out
 
 
-def _unfit(joint: JointCfg) -> str:
+def unfit(joint: JointCfg) -> str:
+    """Return why a joint is left out; empty if it is not."""
     if joint.drive is not None:
         return "has a drive, whose effort is not logged"
     return "creeps: identify joint fits that from a bench record" if joint.spring and joint.spring.creep else ""
@@ -241,15 +242,3 @@ def _changes(declared: SpringCfg, law: LawFit, least: dict[str, float]) -> tuple
     if declared.friction >= least["friction"] and "friction" not in law.params:
         found.append("friction")
     return tuple(found)
-
-
-def corrected(robot: RobotCfg, joints: Sequence[FlownJoint], source: str) -> RobotCfg:
-    """Return the robot with what has changed in its joints."""
-    assert robot.joints is not None
-    springs = {joint.name: joint.spring for joint in joints if joint.changed}
-    layout = tuple(
-        replace(joint, spring=springs[joint.name]) if joint.name in springs else joint for joint in robot.joints.layout
-    )
-    if not springs:
-        return robot
-    return replace(robot, joints=replace(robot.joints, layout=layout, source=f"{robot.joints.source}; {source}"))

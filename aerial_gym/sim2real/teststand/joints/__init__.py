@@ -1,0 +1,1 @@
+"""Joints: the record of an arm on a stand, and flights with or without logged angles."""

@@ -1,0 +1,239 @@
+"""The identification of joints from flights, from files to findings, a study with tables, and a robot file.
+
+Where logs have the angles of the joints these are fitted joint by joint (``flown_joints``), where none has any all at once by
+what the body felt (``hidden_joints``).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pandas as pd
+
+from aerial_gym.config import dump_yaml
+from aerial_gym.config.joint import SpringCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.sim2real.judge.analysis import Judged
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.signals import uniform_log
+from aerial_gym.sim2real.progress import Progress, silent
+from aerial_gym.sim2real.statistics import Rms
+from aerial_gym.sim2real.teststand.joints.courses import read_course
+from aerial_gym.sim2real.teststand.joints.flown import FlownJoint, fit_flown_joints
+from aerial_gym.sim2real.teststand.joints.hidden import fit_hidden_joints
+from aerial_gym.sim2real.teststand.joints.swing import ride_of
+from aerial_gym.sim2real.teststand.report import Study, Table
+from aerial_gym.sim2real.teststand.statistics import Estimate
+from aerial_gym.sim2real.teststand.studies import change, interval
+
+BANDWIDTH_HZ = 15.0
+"""Below which joints are looked for if nothing else is said [Hz]; at most a fifth of the logs' rate."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundJoint:
+    """What flights say of a joint."""
+
+    name: str
+    changed: tuple[str, ...]
+    """What of it differs from what is declared, by the 95 % intervals."""
+
+    declared: dict[str, float]
+    params: dict[str, Estimate]
+    """By the names of ``SpringCfg``."""
+
+    spring: SpringCfg
+    """For the robot file."""
+
+    @property
+    def sentence(self) -> str:
+        """What differs, in words."""
+        told = [
+            f"{name} {self.params[name].value:.3g} in place of {self.declared[name]:.3g}"
+            for name in self.changed
+            if name in self.params and name in self.declared
+        ]
+        return f"joint {self.name}: {', '.join(told) or ', '.join(self.changed)}"
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        return {
+            "name": self.name,
+            "changed": list(self.changed),
+            "declared": self.declared,
+            "params": {name: value.as_mapping() for name, value in self.params.items()},
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundJoints:
+    """What flights say of the joints of a robot."""
+
+    joints: tuple[FoundJoint, ...]
+    logged: tuple[FlownJoint, ...]
+    """In full, where angles were logged."""
+
+    channels: dict[str, tuple[Rms, Rms]]
+    """Errors of what the body felt before and after, where they were not."""
+
+    left_out: tuple[str, ...]
+
+    @property
+    def named(self) -> tuple[FoundJoint, ...]:
+        """Return those that differ from what is declared."""
+        return tuple(joint for joint in self.joints if joint.changed)
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        channels = {name: [one.as_mapping() for one in pair] for name, pair in self.channels.items()}
+        joints = self.logged or self.joints
+        return {
+            "joints": [joint.as_mapping() for joint in joints],
+            "left_out": list(self.left_out),
+            "channels": channels,
+        }
+
+    def corrected(self, robot: RobotCfg, source: str) -> RobotCfg:
+        """Return the robot with what has changed in its joints."""
+        if robot.joints is None or not self.named:
+            return robot
+        springs = {joint.name: joint.spring for joint in self.named}
+        layout = tuple(replace(one, spring=springs.get(one.name, one.spring)) for one in robot.joints.layout)
+        return replace(robot, joints=replace(robot.joints, layout=layout, source=f"{robot.joints.source}; {source}"))
+
+
+def find_joints(
+    robot: RobotCfg, flights: Sequence[Path], *, bandwidth: float = BANDWIDTH_HZ, progress: Progress = silent
+) -> FoundJoints:
+    """Return what flights in logs of the package's own layout say of the passive joints of a robot.
+
+    Raises:
+        ConfigError: If the robot has no joints, or one that cannot be fitted without the angles of all.
+        DataError: If a log does not hold what is needed.
+    """
+    if robot.joints is None:
+        raise ConfigError("identify joints: this robot has no joints. identify joint fits a bench record")
+    if any(_has_angles(path) for path in flights):
+        logged, left_out = fit_flown_joints(robot, [read_course(path, robot, bandwidth=bandwidth) for path in flights])
+        return FoundJoints(
+            joints=tuple(_in_short(robot, joint) for joint in logged),
+            logged=tuple(logged),
+            channels={},
+            left_out=tuple(left_out),
+        )
+    rides = [ride_of(robot, uniform_log(read_flight_log(path)), bandwidth=bandwidth) for path in flights]
+    fit = fit_hidden_joints(robot, rides, bandwidth=bandwidth, progress=progress)
+    found = tuple(FoundJoint(**vars(joint)) for joint in fit.joints)
+    return FoundJoints(joints=found, logged=(), channels=fit.channels, left_out=())
+
+
+def _has_angles(path: Path) -> bool:
+    return any(str(name).strip().startswith("joint_") for name in pd.read_csv(path, nrows=0).columns)
+
+
+def _in_short(robot: RobotCfg, joint: FlownJoint) -> FoundJoint:
+    assert robot.joints is not None
+    declared = next(one.spring for one in robot.joints.layout if one.name == joint.name) or SpringCfg()
+    params = joint.laws[joint.chosen].params
+    return FoundJoint(
+        name=joint.name,
+        changed=joint.changed,
+        declared={
+            name: float(getattr(declared, name)) for name in (*params, *joint.changed) if hasattr(declared, name)
+        },
+        params=params,
+        spring=joint.spring,
+    )
+
+
+def with_joints(judged: Judged, found: FoundJoints) -> Judged:
+    """Return what was judged with what was found of the joints: what differs is told first, and is in the robot file."""
+    told = "; ".join(joint.sentence for joint in found.named)
+    verdict = replace(
+        judged.verdict,
+        verdict="explained" if told and judged.verdict.verdict == "none" else judged.verdict.verdict,
+        reason=f"{told}; as a rigid vehicle: {judged.verdict.reason}" if told else judged.verdict.reason,
+        joints=tuple(joint.as_mapping() for joint in found.joints),
+        notes=(*(f"joint left out: {text}" for text in found.left_out), *judged.verdict.notes),
+    )
+    return replace(
+        judged, verdict=verdict, corrected=found.corrected(judged.corrected, "aerial-gym close-loop --joints")
+    )
+
+
+def study_flown_joints(
+    robot: RobotCfg, flights: Sequence[Path], *, bandwidth: float, progress: Progress = silent
+) -> Study:
+    """Return the laws of the passive joints of a robot from flights; raises what ``find_joints`` does."""
+    found = find_joints(robot, flights, bandwidth=bandwidth, progress=progress)
+    names = ", ".join(path.name for path in flights)
+    corrected = found.corrected(robot, f"aerial-gym identify joints: {names}")
+    named = "; ".join(f"{joint.name}: {what}" for joint in found.named for what in joint.changed) or "nothing"
+    parts = (
+        "Errors are those of the effort that a joint must have given, below the bandwidth"
+        if found.logged
+        else "No log has angles of joints: all are fitted by what the body felt, below the bandwidth"
+    )
+    return Study(
+        title="Joints in flight",
+        intro=f"Differs from what is declared: {named}. {parts}; flights, or parts of the only one, are left out in turn.",
+        mapping={"bandwidth_hz": bandwidth, **found.as_mapping()},
+        tables=_logged_tables(found.logged) if found.logged else _hidden_tables(found),
+        notes=(
+            *(f"left out: {text}" for text in found.left_out),
+            "masses of links and thrusts are taken as declared: 1 % more of a link's inertia is 1 % more of its numbers"
+            if found.logged
+            else "masses of links are taken as declared; a scale of all thrusts and constant errors of sensors are fitted too",
+            "intervals hold what scatters within these flights, and no error of what is declared",
+        ),
+        files={"robot.yaml": dump_yaml(corrected)},
+    )
+
+
+def _logged_tables(joints: Sequence[FlownJoint]) -> tuple[Table, ...]:
+    rows = tuple(
+        (
+            joint.name,
+            ", ".join(joint.changed) or "nothing",
+            joint.chosen,
+            interval(joint.declared),
+            interval(joint.laws[joint.chosen].error),
+            change(joint.declared.value, joint.laws[joint.chosen].error.value),
+        )
+        for joint in joints
+    )
+    head = ("joint", "differs", "law", "declared, error [N m]", "fitted, error on what is left out [N m]", "change")
+    return Table(title="Joints", head=head, rows=rows), *(_numbers(joint) for joint in joints)
+
+
+def _numbers(joint: FlownJoint) -> Table:
+    rows = [
+        (law.name + " (chosen)" * (law.name == joint.chosen), name, interval(value))
+        for law in joint.laws.values()
+        for name, value in law.params.items()
+    ]
+    head = ("law", "number [N m, rad, s]", "95 %")
+    return Table(title=f"Candidates for {joint.name}", head=head, rows=tuple(rows))
+
+
+def _hidden_tables(found: FoundJoints) -> tuple[Table, ...]:
+    numbers = tuple(
+        (joint.name, name, f"{joint.declared[name]:.4g}", interval(value), "yes" if name in joint.changed else "no")
+        for joint in found.joints
+        for name, value in joint.params.items()
+    )
+    felt = tuple(
+        (name, interval(before), interval(after), change(before.value, after.value))
+        for name, (before, after) in found.channels.items()
+    )
+    return (
+        Table(
+            title="Joints", head=("joint", "number [N m, rad, s]", "declared", "fitted, 95 %", "differs"), rows=numbers
+        ),
+        Table(
+            title="What the body felt",
+            head=("channel [m/s², rad/s²]", "declared, error", "fitted, error on what is left out", "change"),
+            rows=felt,
+        ),
+    )

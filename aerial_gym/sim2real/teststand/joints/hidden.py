@@ -1,0 +1,234 @@
+"""Springs, dampers and dry friction of joints from flights in which nobody logged their angles: the body feels arms that swing.
+
+The joints of the declared links swing as they must have (``swing``), and what the body then feels, its specific force and
+angular acceleration, is compared with what its sensors felt, in one band. The numbers of all joints are fitted at once by
+Gauss-Newton steps, beside a constant error of each channel in each flight and a scale of all thrusts.
+Masses of links and places of joints are taken as declared. A joint shows itself by its swing alone: where none is excited, its
+intervals say so.
+Letters: F flights, N rows that are compared, D joints, P numbers of all joints.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from aerial_gym.config.joint import SpringCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.sim2real.identify.least_squares.within_bounds import minimum_within
+from aerial_gym.sim2real.logs.signals import edge_rows
+from aerial_gym.sim2real.progress import Progress, silent
+from aerial_gym.sim2real.statistics import Rms
+from aerial_gym.sim2real.teststand.joints.courses import SLOW
+from aerial_gym.sim2real.teststand.joints.flown import FOLDS, MATERIAL, unfit
+from aerial_gym.sim2real.teststand.joints.swing import CHANNELS, SETTLE_S, Laws, Ride, Swing
+from aerial_gym.sim2real.teststand.statistics import Estimate, correlated_covariance, estimates, held_out_error
+
+Array = NDArray[np.float64]
+
+ROWS_PER_BAND = 3.0
+"""Rows that are compared, at this many times the bandwidth."""
+
+LEAST_ROWS = 50
+"""That must be left of a flight."""
+
+MOST_STEPS = 8
+NEAR = 0.1
+"""A step below this share of a material change is the last one."""
+
+NUMBERS = {False: ("stiffness", "damping", "rest", "friction"), True: ("quadratic", "damping", "rest")}
+"""What is fitted of a joint, by whether its declared spring is quadratic."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HiddenJoint:
+    """What the flights say of a joint whose angle nobody logged."""
+
+    name: str
+    declared: dict[str, float]
+    params: dict[str, Estimate]
+    changed: tuple[str, ...]
+    """What of it differs from what is declared, by the 95 % intervals."""
+
+    spring: SpringCfg
+    """For the robot file."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HiddenFit:
+    """All joints, fitted to what the body felt."""
+
+    joints: tuple[HiddenJoint, ...]
+    channels: dict[str, tuple[Rms, Rms]]
+    """Error of each channel on flights, or parts of the only one, that are left out: with the declared numbers, and fitted."""
+
+
+def fit_hidden_joints(
+    robot: RobotCfg, rides: Sequence[Ride], *, bandwidth: float, progress: Progress = silent
+) -> HiddenFit:
+    """Return every joint fitted to what the body felt in all flights.
+
+    Raises:
+        ConfigError: If the robot is rigid, or has a joint whose effort nobody knows.
+        DataError: If a flight is too short.
+    """
+    if robot.joints is None:
+        raise ConfigError("identify joints: this robot has no joints. identify joint fits a bench record")
+    left_out = [f"{joint.name}: {reason}" for joint in robot.joints.layout if (reason := unfit(joint))]
+    if left_out:
+        raise ConfigError(f"identify joints: without logged angles all joints are needed, and {left_out[0]}")
+    return _Fit(robot, rides, bandwidth).run(progress)
+
+
+class _Fit:
+    """Gauss-Newton steps from the declared numbers."""
+
+    def __init__(self, robot: RobotCfg, rides: Sequence[Ride], bandwidth: float) -> None:
+        assert robot.joints is not None
+        self.joints, self.swing = robot.joints.layout, Swing(robot, rides, bandwidth=bandwidth)
+        self.springs = [joint.spring or SpringCfg() for joint in self.joints]
+        self.owners = [(k, name) for k, spring in enumerate(self.springs) for name in NUMBERS[spring.quadratic > 0.0]]
+        self.declared = np.array([getattr(self.springs[k], name) for k, name in self.owners])
+        self.slow = torch.ones(1, len(self.joints), dtype=torch.float64)
+        rate = self.swing.rate
+        every, edge = max(1, int(rate / (ROWS_PER_BAND * bandwidth))), edge_rows(rate, bandwidth)
+        self.kept = [np.arange(edge, len(ride.wrench) - self.swing.warm - edge, every) for ride in rides]
+        if min(rows.size for rows in self.kept) < LEAST_ROWS:
+            raise DataError(
+                f"flights are too short: without angles {SETTLE_S:g} s at their start are left out; fly longer"
+            )
+        self.fold = np.repeat(np.arange(len(rides)), [rows.size for rows in self.kept])
+        if len(rides) == 1:
+            self.fold = np.arange(self.kept[0].size) * FOLDS // self.kept[0].size
+
+    def run(self, progress: Progress) -> HiddenFit:
+        """Return the fit."""
+        progress("joints as declared", 0.05)
+        angle, rate = self.swing.run(self.laws(self.declared[None]), torch.ones(1).double())[1:]
+        self.slow = (SLOW * rate.flatten(0, 1).std(0, keepdim=True)).clamp_min(1e-9)
+        unit = self.material(angle, rate)
+        numbers, thrust = self.declared.copy(), 1.0
+        before = residual, columns = self.linear(numbers, thrust, unit)
+        step, least = np.zeros(unit.size + 1), np.inf
+        for count in range(MOST_STEPS):
+            progress(f"joints, step {count + 1}", 0.1 + 0.8 * count / MOST_STEPS)
+            if count > 0:
+                residual, columns = self.linear(numbers, thrust, unit)
+            weight = 1.0 / np.maximum(np.sqrt(np.mean(residual**2, axis=0)), 1e-12)
+            cost = float(np.sum(np.log(np.mean(residual**2, axis=0))))
+            if cost > least + 1e-9:
+                step = 0.5 * step
+                numbers, thrust = numbers - step[:-1] * unit, thrust - step[-1]
+                continue
+            least, found = cost, (residual, columns, weight, numbers.copy())
+            step = self.best(residual * weight, columns * weight[:, None], numbers / unit, np.inf)
+            numbers, thrust = numbers + step[:-1] * unit, thrust + step[-1]
+            if np.abs(step[:-1]).max() < NEAR:
+                break
+        return self.result(before, found, unit)
+
+    def laws(self, numbers: Array) -> Laws:
+        """Return the laws of sets of numbers, (B, P)."""
+        stated = {
+            name: torch.tensor([[getattr(spring, name) for spring in self.springs]] * len(numbers), dtype=torch.float64)
+            for name in ("stiffness", "quadratic", "damping", "friction", "rest", "preload")
+        }
+        for place, (k, name) in enumerate(self.owners):
+            stated[name][:, k] = torch.from_numpy(numbers[:, place])
+        ends = [joint.ends for joint in self.joints]
+        bounds = {
+            "low": [-np.inf if end is None else end.low for end in ends],
+            "high": [np.inf if end is None else end.high for end in ends],
+            "end_stiffness": [0.0 if end is None else end.stiffness for end in ends],
+            "end_damping": [0.0 if end is None else end.damping for end in ends],
+        }
+        fixed = {name: torch.tensor([row] * len(numbers), dtype=torch.float64) for name, row in bounds.items()}
+        return Laws(**stated, **fixed, slow=self.slow.expand(len(numbers), -1))
+
+    def material(self, angle: Tensor, rate: Tensor) -> Array:
+        """Return the change of each number that makes ``MATERIAL`` of the spread of its joint's effort, (P,)."""
+        laws = self.laws(self.declared[None])
+        flat = angle.flatten(0, 1), rate.flatten(0, 1)
+        effort, away = laws.effort(*flat).std(0), flat[0] - laws.rest
+        sizes = {
+            "stiffness": away.std(0),
+            "quadratic": (away * away.abs()).std(0),
+            "damping": flat[1].std(0),
+            "friction": torch.ones_like(effort),
+            "rest": laws.slope(flat[0]).mean(0),
+        }
+        if bool((effort <= 0.0).any()):
+            raise DataError("a joint does not move at all as declared: nothing can be found of it")
+        return np.array([MATERIAL * float(effort[k] / sizes[name][k].clamp_min(1e-12)) for k, name in self.owners])
+
+    def linear(self, numbers: Array, thrust: float, unit: Array) -> tuple[Array, Array]:
+        """Return what is felt less what should be, (N, 6), and how the latter changes, (N, 6, P + 1), without constant errors."""
+        sets = np.concatenate((numbers[None], numbers + np.diag(unit), numbers[None]))
+        scale = torch.full((len(sets),), thrust, dtype=torch.float64)
+        scale[-1] = scale[-1] + MATERIAL
+        felt, _, _ = self.swing.run(self.laws(sets), scale)
+        residual, moved = [], []
+        for ride, part, kept in zip(self.swing.rides, felt, self.kept, strict=True):
+            left, change = ride.felt[self.swing.warm + kept] - part[0, kept], part[1:, kept] - part[0, kept]
+            residual.append(left - left.mean(axis=0))
+            moved.append(np.moveaxis(change - change.mean(axis=1, keepdims=True), 0, -1))
+        columns = np.concatenate(moved)
+        columns[..., -1] /= MATERIAL
+        return np.concatenate(residual), columns
+
+    def best(self, residual: Array, columns: Array, here: Array, far: float) -> Array:
+        """Return the step of numbers, in units of what is material, and of the thrust."""
+        width = columns.shape[-1]
+        flat, left = columns.reshape(-1, width), residual.reshape(-1)
+        low, high = np.full(width, -far), np.full(width, far)
+        positive = [place for place, (_, name) in enumerate(self.owners) if name != "rest"]
+        low[positive] = np.maximum(low[positive], -here[positive])
+        size = np.sqrt((flat**2).sum(axis=0)) + 1e-300
+        a = (flat / size).T @ (flat / size) + 1e-9 * np.eye(width)
+        return minimum_within(a, (flat / size).T @ left, low * size, high * size) / size
+
+    def result(self, before: tuple[Array, Array], found: tuple[Array, Array, Array, Array], unit: Array) -> HiddenFit:
+        """Return numbers with intervals, what differs, and errors on what is left out."""
+        residual, columns, weight, numbers = found
+        rows = np.moveaxis(columns * weight[:, None], 1, 0).reshape(-1, columns.shape[-1])
+        left = (residual * weight).T.reshape(-1)
+        covariance = correlated_covariance(rows, left)[: unit.size, : unit.size]
+        values = estimates(numbers, covariance * np.outer(unit, unit), left.size - rows.shape[1])
+        joints = []
+        for k, joint in enumerate(self.joints):
+            own = {name: place for place, (owner, name) in enumerate(self.owners) if owner == k}
+            params = {name: values[place] for name, place in own.items()}
+            changed = tuple(
+                name
+                for name, place in own.items()
+                if not params[name].low <= self.declared[place] <= params[name].high
+                and abs(params[name].value - self.declared[place]) >= unit[place]
+            )
+            told = {name: float(f"{value.value:.6g}") for name, value in params.items()} if changed else {}
+            declared = {name: float(self.declared[place]) for name, place in own.items()}
+            spring = replace(self.springs[k], **told)
+            joints.append(
+                HiddenJoint(name=joint.name, declared=declared, params=params, changed=changed, spring=spring)
+            )
+        nuisance = [
+            before[0],
+            before[1][..., unit.size :],
+            1.0 / np.maximum(np.sqrt(np.mean(before[0] ** 2, axis=0)), 1e-12),
+        ]
+        errors = zip(self.held_out(*nuisance), self.held_out(residual, columns, weight), strict=True)
+        return HiddenFit(joints=tuple(joints), channels=dict(zip(CHANNELS, errors, strict=True)))
+
+    def held_out(self, residual: Array, columns: Array, weight: Array) -> list[Rms]:
+        """Return the error of each channel on parts that are left out, of a fit that is linear about this one."""
+        left, width = np.empty_like(residual), columns.shape[-1]
+        for number in np.unique(self.fold):
+            out = self.fold == number
+            rows = (columns[~out] * weight[:, None]).reshape(-1, width)
+            step = np.linalg.lstsq(rows, (residual[~out] * weight).reshape(-1), rcond=None)[0]
+            left[out] = residual[out] - columns[out] @ step
+            left[out] -= left[out].mean(axis=0)  # its own constant error is not in the others
+        return [held_out_error(channel, self.fold) for channel in left.T]
