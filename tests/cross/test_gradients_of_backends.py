@@ -68,7 +68,8 @@ def gradients(backend, dtype: torch.dtype, controller: str, integrator: str) -> 
 
 
 @pytest.mark.parametrize(
-    ("controller", "integrator"), [("lee_velocity_control", "euler"), ("rotor_speed_control", "rk4")]
+    ("controller", "integrator"),
+    [("lee_velocity_control", "euler"), pytest.param("rotor_speed_control", "rk4", marks=pytest.mark.slow)],
 )
 def test_gradients_agree_with_torch(controller: str, integrator: str) -> None:
     """For the action, every tensor of the initial state, mass, inertia and the parameters of every effect."""

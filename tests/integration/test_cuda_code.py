@@ -67,8 +67,10 @@ ONE_OF_EACH_KIND = ("rotor_drag", "gusts", "ground_effect", "battery_sag", "actu
 
 @pytest.mark.parametrize(
     ("controller", "integrator", "names"),
-    [("rotor_speed_control", "euler", EFFECTS.names()), ("lee_velocity_control", "rk4", ONE_OF_EACH_KIND)],
-    ids=["euler-all_effects", "rk4-each_kind"],
+    [
+        pytest.param("rotor_speed_control", "euler", EFFECTS.names(), id="euler-all_effects"),
+        pytest.param("lee_velocity_control", "rk4", ONE_OF_EACH_KIND, id="rk4-each_kind", marks=pytest.mark.slow),
+    ],
 )
 def test_physics_kernels_compile(controller: str, integrator: str, names: Sequence[str]) -> None:
     robot = ROBOTS.get("base_quadrotor")

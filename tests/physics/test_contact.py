@@ -374,6 +374,7 @@ def test_only_a_touch_at_the_crash_speed_is_a_crash(where: str) -> None:
         assert rig.crashes.tolist() == expected
 
 
+@pytest.mark.slow
 def test_gradients_through_landing_and_sliding() -> None:
     """gradcheck of the state after a touchdown with friction, for initial motion and commands, away from its kinks."""
     robot = lopsided_robot()

@@ -196,6 +196,7 @@ def test_the_tilted_fall_of_a_plate_begins_as_the_closed_form() -> None:
 PLATE = BoxCfg(size=(0.4, 0.4, 0.04))
 
 
+@pytest.mark.slow
 def test_a_plate_rests_on_a_block_that_no_corner_of_it_touches() -> None:
     """Four corners of the block carry it: depth ``sinking / 4``, level, in both backends' ways to contact."""
     for backend in (WarpBackend(), TorchBackend()):

@@ -30,7 +30,10 @@ def make(backend: str, *, num_envs: int = 3, differentiable: bool = False, **dra
     return env
 
 
-@pytest.mark.parametrize("backend", ["torch", "warp"])
+TORCH_SLOWLY = [pytest.param("torch", marks=pytest.mark.slow), "warp"]
+
+
+@pytest.mark.parametrize("backend", TORCH_SLOWLY)
 def test_a_load_hangs_below_and_swings_on_its_link(backend: str) -> None:
     """Straight down at the reset; later at the same distance, and its place changes as its velocity says, to ``a dt / 2``."""
     env = make(backend)
@@ -47,7 +50,7 @@ def test_a_load_hangs_below_and_swings_on_its_link(backend: str) -> None:
     assert away[:, :2].norm(dim=-1).min() > 0.01  # it does swing
 
 
-@pytest.mark.parametrize("backend", ["torch", "warp"])
+@pytest.mark.parametrize("backend", TORCH_SLOWLY)
 def test_both_bodies_together_fall_as_gravity_and_thrust_say(backend: str) -> None:
     """Without thrust both bodies together lose ``(m + M) g t``, to half a unit in the last place of 8 m/s in each substep."""
     env, off = make(backend), torch.zeros(3, 4)

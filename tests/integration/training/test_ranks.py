@@ -126,6 +126,7 @@ def test_two_processes_of_rl_games_have_equal_weights_and_go_on(tmp_path: Path) 
     assert len(last[1]["others"]) == 1
 
 
+@pytest.mark.slow
 def test_a_fault_in_one_process_ends_the_other_with_a_sentence(tmp_path: Path) -> None:
     (first, told), (second, fault) = start_two("fail", tmp_path, ports=1)
     assert (first, second) == (1, 1)

@@ -30,7 +30,7 @@ def train(out: Path, trainer: str, *more: str) -> int:
     return main(["train", "--trainer", trainer, "--out", str(out), *limits, "--json", *more])
 
 
-@pytest.mark.parametrize("trainer", ["ppo", "apg", "rl_games", "sample_factory"])
+@pytest.mark.parametrize("trainer", ["ppo", pytest.param("apg", marks=pytest.mark.slow), "rl_games", "sample_factory"])
 def test_a_training_leaves_a_run_that_resumes_and_evaluates(
     trainer: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -268,6 +268,7 @@ def test_what_a_bending_vehicle_cannot_have_is_refused_by_name() -> None:
         build("morphy", differentiable=True)
 
 
+@pytest.mark.slow
 def test_ends_hold_arms_that_thrust_pushes_beyond_them() -> None:
     """At full thrust, 2 N on 0.07 m: past the upper end by what spring and end share."""
     model = model_of(ROBOTS.get("morphy_fixed_base"), num_envs=1)

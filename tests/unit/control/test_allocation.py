@@ -213,6 +213,7 @@ def test_a_vehicle_without_weight_has_an_allocation_but_no_geometric_law() -> No
         make_controller(CONTROLLERS.get("lee_velocity_control"), vehicle, 0.0, dt=0.01)
 
 
+@pytest.mark.slow
 def test_gradients_of_the_fused_twin_are_those_of_torch() -> None:
     """Of a weighted sum of thrusts by the wrench, on a hexarotor, at limits of every kind."""
     robot = VEHICLES["hexarotor"]

@@ -271,7 +271,7 @@ CASES = {
 }
 
 
-AS_USERS_HAVE_THEM = ("everything", "all of Betaflight", "all of PX4", "all of Mellinger", "all of the Crazyflie's PID")
+AS_USERS_HAVE_THEM = ("everything", "all of Betaflight", "all of PX4")
 """Those whose kernels are optimised: each kind of loop with all its parts."""
 
 

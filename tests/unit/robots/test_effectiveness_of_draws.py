@@ -196,8 +196,8 @@ def fly(env: EnvManager, *, hard: bool = False) -> Tensor:
     ("controller", "allocation"),
     [
         ("lee_attitude_control", "prioritised"),
-        ("lee_attitude_control", "clamp"),
-        ("pid_rates_control", "prioritised"),
+        pytest.param("lee_attitude_control", "clamp", marks=pytest.mark.slow),
+        pytest.param("pid_rates_control", "prioritised", marks=pytest.mark.slow),
         ("no_control", "prioritised"),
     ],
 )
@@ -210,6 +210,7 @@ def test_the_fused_kernel_flies_as_torch(controller: str, allocation: str) -> No
     torch.testing.assert_close(ends[0], ends[1], rtol=1e-3, atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize("backend", ["warp", "torch"])
 def test_an_environment_is_the_same_among_few_and_many(backend: str) -> None:

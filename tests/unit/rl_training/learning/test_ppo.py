@@ -170,6 +170,7 @@ def test_returns_bootstrap_with_the_value_of_the_last_observation() -> None:
     assert learner.sums.tolist() == [8.0, 3.0, 3.0 + 2.0 + 2.0, 7.0]
 
 
+@pytest.mark.slow
 def test_seconds_of_training_raise_the_reward(monkeypatch: pytest.MonkeyPatch) -> None:
     """Reward per step of the episodes that end late, against those of a policy that does not learn: 1.3 against 0.6."""
     cfg = settings(512, num_minibatches=8)

@@ -11,6 +11,7 @@ from aerial_gym.robots.check import largest_stable_step
 from aerial_gym.robots.check.flights import STEP_RANGE
 
 
+@pytest.mark.slow
 def test_published_gains_are_stable_up_to_the_linear_limit() -> None:
     """magpie has gains of its own, whatever the time step; the search is to 1 % of it."""
     robot, controller = ROBOTS.get("magpie"), CONTROLLERS.get("lee_attitude_control")

@@ -39,6 +39,7 @@ def flights_with_drag(noise: float) -> list[pd.DataFrame]:
     return [flight(30 + seed, drag=DRAG, noise=noise, seconds=20.0, rate=100.0) for seed in range(3)]
 
 
+@pytest.mark.slow
 def test_rollouts_find_the_drag_and_leave_it_to_precise_single_steps(tmp_path) -> None:
     found = refit(tmp_path, "rotor_drag", flights_with_drag(1.0))
     changes = {change.parameter: change for change in found.changes}
@@ -66,6 +67,7 @@ def test_rollouts_decide_where_accelerometers_are_noisy(tmp_path) -> None:
     assert found.scored.fit.point.effects["rotor_drag"][0] == pytest.approx(DRAG, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_sensor_that_reads_too_little_is_told_by_the_difference(tmp_path) -> None:
     """An accelerometer that reads 20 % less sideways: single steps say 20 % less drag, rollouts the truth; both cannot hold."""
     tables = flights_with_drag(1.0)

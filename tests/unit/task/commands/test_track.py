@@ -255,7 +255,7 @@ def flown(num_envs: int, *, name: str, first_env: int = 0) -> list[Tensor]:
     return seen
 
 
-@pytest.mark.parametrize("name", ["racing_task", "racing_random_track_task"])
+@pytest.mark.parametrize("name", ["racing_task", pytest.param("racing_random_track_task", marks=pytest.mark.slow)])
 def test_a_race_is_the_same_alone_and_among_many(name: str) -> None:
     many, alone = flown(37, name=name), flown(1, name=name, first_env=17)
     for row, single in zip(many, alone, strict=True):

@@ -100,7 +100,9 @@ def test_kernels_have_the_gradients_of_torch_operations(name: str) -> None:
         assert (task._observer.rows._kernels is not None) == in_kernels
 
 
-@pytest.mark.parametrize("name", ["position_setpoint_task", "tracking_task", "everything"])
+@pytest.mark.parametrize(
+    "name", ["position_setpoint_task", pytest.param("tracking_task", marks=pytest.mark.slow), "everything"]
+)
 def test_a_task_with_gradients_is_the_task_without(name: str) -> None:
     """Rewards, ends and observations of the same flight, from kernels and from torch operations, to float32."""
     cfg = with_everything() if name == "everything" else replace(task_registry.get(name), episode_len_steps=7)
