@@ -166,7 +166,7 @@ class _Fit:
         return np.array([MATERIAL * float(effort[k] / sizes[name][k].clamp_min(1e-12)) for k, name in self.owners])
 
     def linear(self, numbers: Array, thrust: float, unit: Array) -> tuple[Array, Array]:
-        """Return what is felt less what should be, (N, 6), and the change of the latter, (N, 6, P + 1), without constant errors."""
+        """Return what is felt less what should be, (N, 6), and how that changes, (N, 6, P + 1), without constant errors."""
         sets = np.concatenate((numbers[None], numbers + np.diag(unit), numbers[None]))
         scale = torch.full((len(sets),), thrust, dtype=torch.float64)
         scale[-1] = scale[-1] + MATERIAL
