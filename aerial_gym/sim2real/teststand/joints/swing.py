@@ -10,6 +10,7 @@ Letters: B sets of numbers, T rows, D joints, L links, E = B times the pieces of
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 import torch
@@ -36,6 +37,12 @@ SETTLE_S = 2.0
 
 DAMPED_S, DAMPED_BY = 0.5, 0.05
 """At first [s] they are damped by that time [s] times their stiffness, so that they come to where thrusts hold them."""
+
+BENT = 0.2
+"""Angle from rest at which a quadratic spring is as stiff as steps take it to be [rad]."""
+
+QUICKEST = 1.5
+"""Rate of a joint times a step; where it is twice that, steps of Runge and Kutta grow."""
 
 USED_S = 2.0
 """Rows that count of each piece of a flight [s]."""
@@ -143,12 +150,16 @@ class Swing:
         def row(k: int) -> Row:
             return Row(motion={name: value[k] for name, value in base.items()}, wrench=scale * wrench[k])
 
-        here = row(0)
-        for k in range(len(wrench)):
-            there, damped = row(min(k + 1, len(wrench) - 1)), k < self.damped
-            middle = here.between(there)
+        start = end = here = row(0)
+        count = self._steps(laws, here)
+        dt = dt / count
+        for k in range(count * len(wrench)):
+            if k % count == 0:
+                start, end = here, row(min(k // count + 1, len(wrench) - 1))
+            there = end if count == 1 else start.towards(end, (k % count + 1) / count)
+            middle, damped = here.towards(there, 0.5), k < count * self.damped
             feels, first = self._accelerations(here, spread, angle, rate, damped)
-            if k >= self.warm:
+            if k % count == 0 and k >= count * self.warm:
                 felt.append(feels)
                 angles.append(angle[:pieces])
                 rates.append(rate[:pieces])
@@ -170,6 +181,16 @@ class Swing:
             parts.append(np.swapaxes(lowpass(own, self.rate, self.bandwidth), 0, 1))
             start += count
         return parts, torch.stack(angles), torch.stack(rates)
+
+    def _steps(self, laws: "Laws", here: "Row") -> int:
+        """Return how many steps from row to row joints need that are so quick."""
+        own = {name: value[:1] for name, value in here.motion.items()}
+        state = TreeState(position=own["lin_vel"], joint_pos=laws.rest[:1], joint_vel=0.0 * laws.rest[:1], **own)
+        mass = equations(self._articulation.tree, self._links, state, gravity=STANDARD_GRAVITY).mass
+        ease, slope = torch.linalg.inv(mass)[0].diagonal()[6:], laws.slope(laws.rest + BENT)  # acceleration per effort
+        damping = laws.damping + laws.end_damping + DAMPED_BY * slope
+        quickest = torch.maximum(damping * ease, ((slope + laws.end_stiffness) * ease).sqrt()).max()
+        return max(1, ceil(float(quickest) / self.rate / QUICKEST))
 
     def _accelerations(
         self, row: "Row", laws: "Laws", angle: Tensor, rate: Tensor, damped: bool
@@ -194,10 +215,10 @@ class Row:
     motion: dict[str, Tensor]
     wrench: Tensor
 
-    def between(self, other: "Row") -> "Row":
-        """Return the mean of two instants."""
-        motion = {name: 0.5 * (value + other.motion[name]) for name, value in self.motion.items()}
-        return Row(motion=motion, wrench=0.5 * (self.wrench + other.wrench))
+    def towards(self, other: "Row", share: float) -> "Row":
+        """Return the instant at a share of the way to another one."""
+        motion = {name: torch.lerp(value, other.motion[name], share) for name, value in self.motion.items()}
+        return Row(motion=motion, wrench=torch.lerp(self.wrench, other.wrench, share))
 
 
 @dataclass(frozen=True, kw_only=True)
