@@ -38,7 +38,10 @@ def ride_from(table: pd.DataFrame, path: Path) -> Ride:
 def test_what_a_body_feels_of_swinging_arms_is_what_that_of_the_plant_felt(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The true springs leave a tenth of what the declared ones leave, of what begins a second before, to save time."""
+    """The true springs leave a fifth of what the declared ones leave at most.
+
+    To save time pieces begin a second before; half of it damped, a swing is forgotten to ``exp(-0.5 s c / 2 J)``, 0.19.
+    """
     monkeypatch.setattr(swing, "SETTLE_S", 1.0)
     monkeypatch.setattr(swing, "USED_S", 0.7)
     hidden = [SAME | {"stiffness": 0.8}, SAME | {"damping": 0.008, "rest": 0.05}, SAME, SAME]
@@ -49,7 +52,7 @@ def test_what_a_body_feels_of_swinging_arms_is_what_that_of_the_plant_felt(
     edge = edge_rows(ride.rate, BAND)
     left = (felt - ride.felt[None, fit.swing.warm :])[:, edge:-edge]
     right, wrong = np.sqrt(np.mean((left - left.mean(axis=1, keepdims=True)) ** 2, axis=1))
-    assert (right < 0.1 * wrong).all()
+    assert (right < 0.2 * wrong).all()
 
 
 def test_what_cannot_be_found_so_is_refused_by_name(tmp_path: Path) -> None:
