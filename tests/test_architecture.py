@@ -33,9 +33,11 @@ ROOMS = (
     ("failures",),
     ("judge",),
     ("report",),
-    ("close_loop", "replay", "teststand"),
+    ("replay", "teststand"),
+    ("close_loop",),
 )
-"""Of ``sim2real``: flights come in on the left, pages go out on the right; the test stand stands apart."""
+"""Of ``sim2real``: flights come in on the left, pages go out on the right; the loop is last, as joints are found on the test
+stand."""
 ROOM_RANK = {name: rank for rank, group in enumerate(ROOMS) for name in group}
 
 
