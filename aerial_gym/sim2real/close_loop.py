@@ -87,6 +87,8 @@ def close_loop(
         inputs = read_inputs(declared, train, test, mapping=layout, bandwidth=bandwidth)
         for sentence in inputs.left_out:
             progress(sentence, 0.0)
+        used = [Path(flight.path) for flight in inputs.train]
+        found = find_joints(declared, used, progress=progress) if joints else None
         judged = judge_flights(
             declared,
             inputs.train,
@@ -102,8 +104,8 @@ def close_loop(
         )
         verdict = replace(judged.verdict, notes=(*inputs.left_out, *judged.verdict.notes))
         judged = replace(judged, verdict=verdict)
-        if joints:
-            judged = with_joints(judged, find_joints(declared, [Path(path) for path in train], progress=progress))
+        if found is not None:
+            judged = with_joints(judged, found)
             verdict = judged.verdict
         corrected = with_found_ranges(judged.corrected, verdict.effects) if ranges else judged.corrected
         progress("writing the report", 0.97)

@@ -7,6 +7,7 @@ Source: Bitcraze's documentation, "Controllers in the Crazyflie" and "Mellinger 
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from aerial_gym.config.autopilots.tuned import Tuned
 from aerial_gym.config.checks import Vec3
@@ -15,6 +16,8 @@ from aerial_gym.config.checks import Vec3
 @dataclass(frozen=True, kw_only=True)
 class MellingerCfg(Tuned):
     """Parameters of ``crazyflie_mellinger_control``: group ``ctrlMel``. It runs at ``ControllerCfg.rate_hz``, there 500 Hz."""
+
+    POSITIVE: ClassVar[frozenset[str]] = frozenset(("mass", "massThrust"))
 
     mass: float | None = None
     """What it takes the vehicle to weigh [kg]."""

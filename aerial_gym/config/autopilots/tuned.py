@@ -13,6 +13,9 @@ class Tuned:
     NOT_GAINS: ClassVar[frozenset[str]] = frozenset(("rate_hz", "source"))
     """Fields that say when it runs, and where its numbers come from."""
 
+    POSITIVE: ClassVar[frozenset[str]] = frozenset(("rate_hz",))
+    """Fields that are divided by."""
+
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
     def __post_init__(self) -> None:
@@ -22,6 +25,9 @@ class Tuned:
                     raise ConfigError(
                         f"{type(self).__name__}.{field.name} = {getattr(self, field.name)!r}: must be >= 0 and finite"
                     )
+        for name in self.POSITIVE:
+            if getattr(self, name, None) == 0.0:
+                raise ConfigError(f"{type(self).__name__}.{name} = 0: must be > 0")
 
     @property
     def explicit(self) -> bool:

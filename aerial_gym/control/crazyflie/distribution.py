@@ -4,8 +4,8 @@ Every rotor is told the thrust, and of the moments half of roll and pitch and al
 it turns. Where one is told more than there is, all give way alike, so that the moments stay; less than nothing is nothing.
 A rotor gives of its largest thrust the share that its counts are of all.
 Letters: E environments, R rotors.
-Source: what the firmware's power distribution answers (``tests/cross/firmware``); its documentation says of more than there is
-that attitude comes before thrust.
+Source: what the firmware's power distribution answers (``tests/cross/firmware``); of more than there is
+its change 1147 (github.com/bitcraze/crazyflie-firmware) says that attitude comes before thrust.
 """
 
 import torch

@@ -46,8 +46,8 @@ class Derived:
         self.position, self.velocity = base.position[0], base.velocity[0]
         self.attitude, self.rate = base.attitude[0] / unit, base.rate[0] / unit  # counts per rad, per rad/s
         self.of_rate = base.rate[0] / vehicle.inertia[0].diagonal()  # 1/s
-        self.of_attitude = base.attitude[0] / base.rate[0]
-        self.of_position = base.position[0] / base.velocity[0]
+        self.of_attitude = _over(base.attitude[0], base.rate[0])
+        self.of_position = _over(base.position[0], base.velocity[0])
 
     def row(self, numbers: Sequence[float] | Tensor) -> Tensor:
         """Return numbers as a row of all environments."""
@@ -57,6 +57,11 @@ class Derived:
     def given(self, numbers: Sequence[float] | None, derived: Tensor | Sequence[float]) -> Tensor:
         """Return what is given, else what is derived, as a row."""
         return self.row(derived if numbers is None else numbers)
+
+
+def _over(gains: Tensor, others: Tensor) -> Tensor:
+    """Return quotients, and nothing about an axis that is left alone."""
+    return torch.where(others > 0.0, gains / torch.where(others > 0.0, others, 1.0), 0.0)
 
 
 def _used(limit: Tensor, integral: Tensor) -> Tensor:

@@ -156,10 +156,18 @@ class Verdict:
         return bool(self.effects) or (self.learned is not None and self.learned.cfg is not None)
 
     @property
+    def differing_joints(self) -> list[str]:
+        """Names of joints that differ from what is declared; the corrected robot has them, residuals know a rigid one."""
+        return [str(joint["name"]) for joint in self.joints if joint["changed"]]
+
+    @property
     def meaning(self) -> str:
         """What it tells its reader."""
-        kind = "none" if self.failures and not self.effects and self.verdict == "explained" else self.verdict
+        beside = (self.failures or self.differing_joints) and not self.effects
+        kind = "none" if beside and self.verdict == "explained" else self.verdict
         told = meaning(kind, self.outcomes, {effect.name: effect.ties for effect in self.effects})
+        if self.differing_joints:
+            told += " This is said of the vehicle as a rigid one; the springs of its joints were fitted by themselves."
         names = ", ".join(failure.flight for failure in self.failures)
         return f"{told} This is said of {names} up to what failed there." if names else told
 

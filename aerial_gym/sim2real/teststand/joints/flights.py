@@ -21,49 +21,14 @@ from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.joints.courses import read_course
 from aerial_gym.sim2real.teststand.joints.flown import FlownJoint, fit_flown_joints
+from aerial_gym.sim2real.teststand.joints.found import FoundJoint
 from aerial_gym.sim2real.teststand.joints.hidden import fit_hidden_joints
 from aerial_gym.sim2real.teststand.joints.swing import ride_of
 from aerial_gym.sim2real.teststand.report import Study, Table
-from aerial_gym.sim2real.teststand.statistics import Estimate
 from aerial_gym.sim2real.teststand.studies import change, interval
 
 BANDWIDTH_HZ = 15.0
 """Below which joints are looked for if nothing else is said [Hz]; at most a fifth of the logs' rate."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class FoundJoint:
-    """What flights say of a joint."""
-
-    name: str
-    changed: tuple[str, ...]
-    """What of it differs from what is declared, by the 95 % intervals."""
-
-    declared: dict[str, float]
-    params: dict[str, Estimate]
-    """By the names of ``SpringCfg``."""
-
-    spring: SpringCfg
-    """For the robot file."""
-
-    @property
-    def sentence(self) -> str:
-        """What differs, in words."""
-        told = [
-            f"{name} {self.params[name].value:.3g} in place of {self.declared[name]:.3g}"
-            for name in self.changed
-            if name in self.params and name in self.declared
-        ]
-        return f"joint {self.name}: {', '.join(told) or ', '.join(self.changed)}"
-
-    def as_mapping(self) -> dict[str, object]:
-        """Return it for JSON."""
-        return {
-            "name": self.name,
-            "changed": list(self.changed),
-            "declared": self.declared,
-            "params": {name: value.as_mapping() for name, value in self.params.items()},
-        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,6 +48,18 @@ class FoundJoints:
     def named(self) -> tuple[FoundJoint, ...]:
         """Return those that differ from what is declared."""
         return tuple(joint for joint in self.joints if joint.changed)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Return what was left out, and the errors before and after."""
+        errors = [
+            f"joint {one.name}, effort [N m]: {one.declared.value:.3g} before, {one.laws[one.chosen].error.value:.3g} after"
+            for one in self.logged
+        ]
+        if self.channels:
+            felt = ", ".join(f"{name} {a.value:.3g} to {b.value:.3g}" for name, (a, b) in self.channels.items())
+            errors = [f"what the body felt of its joints, on parts left out [m/s², rad/s²]: {felt}"]
+        return (*(f"joint left out: {text}" for text in self.left_out), *errors)
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
@@ -124,8 +101,7 @@ def find_joints(
         )
     rides = [ride_of(robot, uniform_log(read_flight_log(path)), bandwidth=bandwidth) for path in flights]
     fit = fit_hidden_joints(robot, rides, bandwidth=bandwidth, progress=progress)
-    found = tuple(FoundJoint(**vars(joint)) for joint in fit.joints)
-    return FoundJoints(joints=found, logged=(), channels=fit.channels, left_out=())
+    return FoundJoints(joints=fit.joints, logged=(), channels=fit.channels, left_out=())
 
 
 def _has_angles(path: Path) -> bool:
@@ -155,7 +131,7 @@ def with_joints(judged: Judged, found: FoundJoints) -> Judged:
         verdict="explained" if told and judged.verdict.verdict == "none" else judged.verdict.verdict,
         reason=f"{told}; as a rigid vehicle: {judged.verdict.reason}" if told else judged.verdict.reason,
         joints=tuple(joint.as_mapping() for joint in found.joints),
-        notes=(*(f"joint left out: {text}" for text in found.left_out), *judged.verdict.notes),
+        notes=(*found.notes, *judged.verdict.notes),
     )
     return replace(
         judged, verdict=verdict, corrected=found.corrected(judged.corrected, "aerial-gym close-loop --joints")

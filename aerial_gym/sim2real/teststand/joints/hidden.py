@@ -19,19 +19,19 @@ from torch import Tensor
 from aerial_gym.config.joint import SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.physics.articulated.joint_laws import Limits, Spring
 from aerial_gym.sim2real.identify.least_squares.within_bounds import minimum_within
 from aerial_gym.sim2real.logs.signals import edge_rows
+from aerial_gym.sim2real.predict.rows.dataset import SAMPLES_PER_BAND
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.joints.courses import SLOW
 from aerial_gym.sim2real.teststand.joints.flown import FOLDS, MATERIAL, unfit
+from aerial_gym.sim2real.teststand.joints.found import FoundJoint
 from aerial_gym.sim2real.teststand.joints.swing import CHANNELS, SETTLE_S, Laws, Ride, Swing
-from aerial_gym.sim2real.teststand.statistics import Estimate, correlated_covariance, estimates, held_out_error
+from aerial_gym.sim2real.teststand.statistics import correlated_covariance, estimates, held_out_error
 
 Array = NDArray[np.float64]
-
-ROWS_PER_BAND = 3.0
-"""Rows that are compared, at this many times the bandwidth."""
 
 LEAST_ROWS = 50
 """That must be left of a flight."""
@@ -40,29 +40,17 @@ MOST_STEPS = 8
 NEAR = 0.1
 """A step below this share of a material change is the last one."""
 
+NO_ENDS = {"low": -np.inf, "high": np.inf, "stiffness": 0.0, "damping": 0.0}
+
 NUMBERS = {False: ("stiffness", "damping", "rest", "friction"), True: ("quadratic", "damping", "rest")}
 """What is fitted of a joint, by whether its declared spring is quadratic."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class HiddenJoint:
-    """What the flights say of a joint whose angle nobody logged."""
-
-    name: str
-    declared: dict[str, float]
-    params: dict[str, Estimate]
-    changed: tuple[str, ...]
-    """What of it differs from what is declared, by the 95 % intervals."""
-
-    spring: SpringCfg
-    """For the robot file."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HiddenFit:
     """All joints, fitted to what the body felt."""
 
-    joints: tuple[HiddenJoint, ...]
+    joints: tuple[FoundJoint, ...]
     channels: dict[str, tuple[Rms, Rms]]
     """Error of each channel on flights, or parts of the only one, that are left out: with the declared numbers, and fitted."""
 
@@ -95,7 +83,7 @@ class _Fit:
         self.declared = np.array([getattr(self.springs[k], name) for k, name in self.owners])
         self.slow = torch.ones(1, len(self.joints), dtype=torch.float64)
         rate = self.swing.rate
-        every, edge = max(1, int(rate / (ROWS_PER_BAND * bandwidth))), edge_rows(rate, bandwidth)
+        every, edge = max(1, int(rate / (SAMPLES_PER_BAND * bandwidth))), edge_rows(rate, bandwidth)
         self.kept = [np.arange(edge, len(ride.wrench) - self.swing.warm - edge, every) for ride in rides]
         if min(rows.size for rows in self.kept) < LEAST_ROWS:
             raise DataError(
@@ -125,7 +113,7 @@ class _Fit:
                 numbers, thrust = numbers - step[:-1] * unit, thrust - step[-1]
                 continue
             least, found = cost, (residual, columns, weight, numbers.copy())
-            step = self.best(residual * weight, columns * weight[:, None], numbers / unit, np.inf)
+            step = self.best(residual * weight, columns * weight[:, None], numbers / unit)
             numbers, thrust = numbers + step[:-1] * unit, thrust + step[-1]
             if np.abs(step[:-1]).max() < NEAR:
                 break
@@ -139,27 +127,25 @@ class _Fit:
         }
         for place, (k, name) in enumerate(self.owners):
             stated[name][:, k] = torch.from_numpy(numbers[:, place])
-        ends = [joint.ends for joint in self.joints]
-        bounds = {
-            "low": [-np.inf if end is None else end.low for end in ends],
-            "high": [np.inf if end is None else end.high for end in ends],
-            "end_stiffness": [0.0 if end is None else end.stiffness for end in ends],
-            "end_damping": [0.0 if end is None else end.damping for end in ends],
-        }
-        fixed = {name: torch.tensor([row] * len(numbers), dtype=torch.float64) for name, row in bounds.items()}
-        return Laws(**stated, **fixed, slow=self.slow.expand(len(numbers), -1))
+        friction = stated.pop("friction")
+        like, bounds = torch.ones_like(friction), {}
+        for name, nowhere in NO_ENDS.items():
+            row = [nowhere if joint.ends is None else getattr(joint.ends, name) for joint in self.joints]
+            bounds[name] = like * torch.tensor(row, dtype=torch.float64)
+        return Laws(spring=Spring(**stated), ends=Limits(**bounds), friction=friction, slow=self.slow * like)
 
     def material(self, angle: Tensor, rate: Tensor) -> Array:
         """Return the change of each number that makes ``MATERIAL`` of the spread of its joint's effort, (P,)."""
         laws = self.laws(self.declared[None])
         flat = angle.flatten(0, 1), rate.flatten(0, 1)
-        effort, away = laws.effort(*flat).std(0), flat[0] - laws.rest
+        spring, away = laws.spring.effort_at(*flat), flat[0] - laws.spring.rest
+        effort = laws.effort_at(*flat).std(0)
         sizes = {
             "stiffness": away.std(0),
             "quadratic": (away * away.abs()).std(0),
             "damping": flat[1].std(0),
             "friction": torch.ones_like(effort),
-            "rest": laws.slope(flat[0]).mean(0),
+            "rest": spring.stiffness.mean(0),
         }
         if bool((effort <= 0.0).any()):
             raise DataError("a joint does not move at all as declared: nothing can be found of it")
@@ -180,11 +166,11 @@ class _Fit:
         columns[..., -1] /= MATERIAL
         return np.concatenate(residual), columns
 
-    def best(self, residual: Array, columns: Array, here: Array, far: float) -> Array:
+    def best(self, residual: Array, columns: Array, here: Array) -> Array:
         """Return the step of numbers, in units of what is material, and of the thrust."""
         width = columns.shape[-1]
         flat, left = columns.reshape(-1, width), residual.reshape(-1)
-        low, high = np.full(width, -far), np.full(width, far)
+        low, high = np.full(width, -np.inf), np.full(width, np.inf)
         positive = [place for place, (_, name) in enumerate(self.owners) if name != "rest"]
         low[positive] = np.maximum(low[positive], -here[positive])
         size = np.sqrt((flat**2).sum(axis=0)) + 1e-300
@@ -211,9 +197,7 @@ class _Fit:
             told = {name: float(f"{value.value:.6g}") for name, value in params.items()} if changed else {}
             declared = {name: float(self.declared[place]) for name, place in own.items()}
             spring = replace(self.springs[k], **told)
-            joints.append(
-                HiddenJoint(name=joint.name, declared=declared, params=params, changed=changed, spring=spring)
-            )
+            joints.append(FoundJoint(name=joint.name, declared=declared, params=params, changed=changed, spring=spring))
         nuisance = [
             before[0],
             before[1][..., unit.size :],

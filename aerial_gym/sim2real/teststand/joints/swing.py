@@ -11,6 +11,7 @@ Letters: B sets of numbers, T rows, D joints, L links, E = B times the pieces of
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,6 +23,7 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.math.quaternion import quat_normalize, quat_rotate_inverse
 from aerial_gym.physics.articulated.dynamics import equations
+from aerial_gym.physics.articulated.joint_laws import Limits, Spring
 from aerial_gym.physics.articulated.tree import Links, TreeState
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import lowpass
@@ -114,7 +116,7 @@ class Swing:
         if len(rates) > 1:
             raise DataError(f"logs of different rates: {sorted(rates)} rows per second; identify them one by one")
         self.rides, self.bandwidth, self.rate = tuple(rides), bandwidth, rides[0].rate
-        self.warm, self.damped = round(SETTLE_S * self.rate), round(DAMPED_S * self.rate)
+        self.warm, self.held = round(SETTLE_S * self.rate), round(DAMPED_S * self.rate)
         self._articulation, links, _ = pushed_links(robot, rides[0].base, torch.zeros(1, robot.num_rotors).double())
         self._links = Links(mass=links.mass[:1], com=links.com[:1], inertia=links.inertia[:1])
         used = round(USED_S * self.rate)
@@ -140,11 +142,11 @@ class Swing:
             thrust: Scale of what rotors give, (B,).
         """
         sets, pieces, dt = len(thrust), sum(self._pieces), 1.0 / self.rate
-        spread = Laws(**{name: value.repeat_interleave(pieces, dim=0) for name, value in vars(laws).items()})
+        spread = laws.each(pieces)
         scale = thrust.repeat_interleave(pieces).view(-1, 1, 1)
         base = {name: value.repeat(1, sets, 1) for name, value in self._base.items()}
         wrench = self._wrench.repeat(1, sets, 1, 1)
-        angle, rate = spread.rest, torch.zeros_like(spread.rest)
+        angle, rate = spread.spring.rest, torch.zeros_like(spread.spring.rest)
         felt, angles, rates = [], [], []
 
         def row(k: int) -> Row:
@@ -157,17 +159,17 @@ class Swing:
             if k % count == 0:
                 start, end = here, row(min(k // count + 1, len(wrench) - 1))
             there = end if count == 1 else start.towards(end, (k % count + 1) / count)
-            middle, damped = here.towards(there, 0.5), k < count * self.damped
-            feels, first = self._accelerations(here, spread, angle, rate, damped)
+            middle, held = here.towards(there, 0.5), k < count * self.held
+            feels, first = self._accelerations(here, spread, angle, rate, held)
             if k % count == 0 and k >= count * self.warm:
                 felt.append(feels)
                 angles.append(angle[:pieces])
                 rates.append(rate[:pieces])
-            _, second = self._accelerations(middle, spread, angle + 0.5 * dt * rate, rate + 0.5 * dt * first, damped)
+            _, second = self._accelerations(middle, spread, angle + 0.5 * dt * rate, rate + 0.5 * dt * first, held)
             at = angle + 0.5 * dt * (rate + 0.5 * dt * first)
-            _, third = self._accelerations(middle, spread, at, rate + 0.5 * dt * second, damped)
+            _, third = self._accelerations(middle, spread, at, rate + 0.5 * dt * second, held)
             at = angle + dt * (rate + 0.5 * dt * second)
-            _, fourth = self._accelerations(there, spread, at, rate + dt * third, damped)
+            _, fourth = self._accelerations(there, spread, at, rate + dt * third, held)
             angle = angle + dt * rate + dt * dt / 6.0 * (first + second + third)
             rate = rate + dt / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
             here = there
@@ -185,23 +187,26 @@ class Swing:
     def _steps(self, laws: "Laws", here: "Row") -> int:
         """Return how many steps from row to row joints need that are so quick."""
         own = {name: value[:1] for name, value in here.motion.items()}
-        state = TreeState(position=own["lin_vel"], joint_pos=laws.rest[:1], joint_vel=0.0 * laws.rest[:1], **own)
+        rest = laws.spring.rest[:1]
+        state = TreeState(position=own["lin_vel"], joint_pos=rest, joint_vel=torch.zeros_like(rest), **own)
         mass = equations(self._articulation.tree, self._links, state, gravity=STANDARD_GRAVITY).mass
-        ease, slope = torch.linalg.inv(mass)[0].diagonal()[6:], laws.slope(laws.rest + BENT)  # acceleration per effort
-        damping = laws.damping + laws.end_damping + DAMPED_BY * slope
-        quickest = torch.maximum(damping * ease, ((slope + laws.end_stiffness) * ease).sqrt()).max()
-        return max(1, ceil(float(quickest) / self.rate / QUICKEST))
+        ease = torch.linalg.inv(mass)[0].diagonal()[6:]  # acceleration per effort
+        slope, damping = laws.quickest
+        quickest = float(torch.maximum(damping * ease, (slope * ease).sqrt()).max())
+        return max(1, ceil(quickest / self.rate / QUICKEST))
 
     def _accelerations(
-        self, row: "Row", laws: "Laws", angle: Tensor, rate: Tensor, damped: bool
+        self, row: "Row", laws: "Laws", angle: Tensor, rate: Tensor, held: bool
     ) -> tuple[Tensor, Tensor]:
         """Return what the body feels, (E, 6), and how the joints accelerate, (E, D)."""
         state = TreeState(position=row.motion["lin_vel"], joint_pos=angle, joint_vel=rate, **row.motion)
-        effort = laws.effort(angle, rate)
-        if damped:
-            effort = effort - DAMPED_BY * laws.slope(angle) * rate
         found = equations(
-            self._articulation.tree, self._links, state, gravity=STANDARD_GRAVITY, wrench=row.wrench, effort=effort
+            self._articulation.tree,
+            self._links,
+            state,
+            gravity=STANDARD_GRAVITY,
+            wrench=row.wrench,
+            effort=laws.effort_at(angle, rate, held=held),
         )
         moved = torch.linalg.solve(found.mass, found.force)
         up = quat_rotate_inverse(row.motion["attitude"], _up(len(angle)))
@@ -223,34 +228,41 @@ class Row:
 
 @dataclass(frozen=True, kw_only=True)
 class Laws:
-    """Efforts of all joints for sets of numbers, each (B, D)."""
+    """What acts in all joints, for sets of numbers: tensors (B, D)."""
 
-    stiffness: Tensor
-    quadratic: Tensor
-    damping: Tensor
+    spring: Spring
+    ends: Limits
     friction: Tensor
-    rest: Tensor
-    preload: Tensor
+    """Dry friction [N m]."""
+
     slow: Tensor
-    """Rate below which dry friction is less than whole [rad/s]."""
+    """Rate below which it is less than whole [rad/s]: ``F q' / sqrt(q'² + slow²)``."""
 
-    low: Tensor
-    """Where soft ends begin, and how stiff and damped these are."""
-    high: Tensor
-    end_stiffness: Tensor
-    end_damping: Tensor
+    @property
+    def quickest(self) -> tuple[Tensor, Tensor]:
+        """Return the most by which efforts fall with angles and with rates, (B, D): bent by ``BENT``, on the ends, and held."""
+        slope = self.spring.stiffness + 2.0 * self.spring.quadratic * BENT
+        return slope + self.ends.stiffness, self.spring.damping + self.ends.damping + DAMPED_BY * slope
 
-    def slope(self, angle: Tensor) -> Tensor:
-        """Return by how much efforts fall with angles [N m/rad], (B, D)."""
-        return self.stiffness + 2.0 * self.quadratic * (angle - self.rest).abs()
+    def each(self, count: int) -> "Laws":
+        """Return every set so many times, one after the other."""
 
-    def effort(self, angle: Tensor, rate: Tensor) -> Tensor:
-        """Return the efforts [N m], (B, D)."""
-        away = angle - self.rest
-        found = self.preload - (self.stiffness + self.quadratic * away.abs()) * away - self.damping * rate
+        def spread(rows: Any) -> dict[str, Tensor]:
+            return {name: value.repeat_interleave(count, dim=0) for name, value in vars(rows).items()}
+
+        return Laws(
+            spring=Spring(**spread(self.spring)),
+            ends=Limits(**spread(self.ends)),
+            friction=self.friction.repeat_interleave(count, dim=0),
+            slow=self.slow.repeat_interleave(count, dim=0),
+        )
+
+    def effort_at(self, angle: Tensor, rate: Tensor, *, held: bool = False) -> Tensor:
+        """Return the efforts [N m], (B, D); ``held`` as a piece begins."""
+        spring = self.spring.effort_at(angle, rate)
+        found = spring.value + self.ends.effort_at(angle, rate).value
         found = found - self.friction * rate / (rate.square() + self.slow.square()).sqrt()
-        beyond = angle - torch.minimum(torch.maximum(angle, self.low), self.high)
-        return found - self.end_stiffness * beyond - torch.where(beyond != 0.0, self.end_damping * rate, 0.0)
+        return found - DAMPED_BY * spring.stiffness * rate if held else found
 
 
 def _up(number: int) -> Tensor:

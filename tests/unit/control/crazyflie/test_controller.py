@@ -161,3 +161,16 @@ def test_what_does_not_fit_is_refused_by_name(name: str) -> None:
         replace(CONTROLLERS.get(MELLINGER), delay=0.01)
     with pytest.raises(ConfigError, match=r"CrazyfliePidCfg.rate_kp = \(1.0, -1.0, 1.0\): must be >= 0"):
         CrazyfliePidCfg(rate_kp=(1.0, -1.0, 1.0))
+    with pytest.raises(ConfigError, match="CrazyfliePidCfg.rate_hz = 0: must be > 0"):
+        CrazyfliePidCfg(rate_hz=0.0)
+    with pytest.raises(ConfigError, match="MellingerCfg.mass = 0: must be > 0"):
+        MellingerCfg(mass=0.0)
+
+
+@pytest.mark.parametrize("name", [MELLINGER, PID])
+def test_an_axis_that_a_robot_leaves_alone_is_left_alone(name: str) -> None:
+    """No torque about z is asked for, and nothing is infinite."""
+    robot = replace(X500, control=replace(X500.control, attitude_frequency=(5.0, 5.0, 0.0)))
+    law = law_of(name, robot)
+    turned = told(law, at_rest((0.0, 0.0, 0.5), (0.0, 0.0, 0.4)), [0.0] * 4)
+    torch.testing.assert_close(turned, told(law, at_rest(), [0.0] * 4), rtol=1e-9, atol=0)

@@ -14,13 +14,14 @@ from aerial_gym.config.joint import DriveCfg
 from aerial_gym.config.loader import dump_yaml
 from aerial_gym.config.robot import load_robot
 from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.physics.articulated.joint_laws import Limits, Spring
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real import close_loop
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import edge_rows, uniform_log
 from aerial_gym.sim2real.teststand.joints import swing
 from aerial_gym.sim2real.teststand.joints.hidden import _Fit, fit_hidden_joints
-from aerial_gym.sim2real.teststand.joints.swing import Ride, ride_of
+from aerial_gym.sim2real.teststand.joints.swing import Laws, Ride, ride_of
 from tests.unit.sim2real.teststand.test_flown_joints import HIDDEN, SAME, flight, robot
 
 BAND = 15.0
@@ -53,6 +54,25 @@ def test_what_a_body_feels_of_swinging_arms_is_what_that_of_the_plant_felt(
     left = (felt - ride.felt[None, fit.swing.warm :])[:, edge:-edge]
     right, wrong = np.sqrt(np.mean((left - left.mean(axis=1, keepdims=True)) ** 2, axis=1))
     assert (right < 0.2 * wrong).all()
+
+
+def test_friction_acts_against_the_motion_and_an_end_never_pulls() -> None:
+    def row(*values: float) -> torch.Tensor:
+        return torch.tensor([values], dtype=torch.float64)
+
+    none, far = row(0.0, 0.0, 0.0), row(9.0, 9.0, 9.0)
+    spring = Spring(stiffness=none, quadratic=none, damping=none, rest=none, preload=none)
+    slides = Laws(
+        spring=spring,
+        ends=Limits(low=-far, high=far, stiffness=none, damping=none),
+        friction=0.3 + none,
+        slow=1e-3 + none,
+    )
+    torch.testing.assert_close(slides.effort_at(none, row(2.0, -2.0, 0.0)), row(-0.3, 0.3, 0.0), atol=1e-6, rtol=0)
+    ends = Limits(low=-0.1 + none, high=0.1 + none, stiffness=4.0 + none, damping=1.0 + none)
+    held = Laws(spring=spring, ends=ends, friction=none, slow=1e-3 + none)
+    found = held.effort_at(row(0.2, 0.2, -0.2), row(0.0, -5.0, 0.0))  # pushed back, left fast, pushed back
+    torch.testing.assert_close(found, row(-0.4, 0.0, 0.4), atol=1e-12, rtol=0)
 
 
 def test_what_cannot_be_found_so_is_refused_by_name(tmp_path: Path) -> None:
@@ -116,7 +136,14 @@ def test_the_loop_names_joints_beside_effects(tmp_path: Path) -> None:
     assert [joint["name"] for joint in told["joints"] if joint["changed"]] == ["arm0", "arm1", "arm2"]
     springs = [joint.spring for joint in load_robot(out / "robot.yaml").joints.layout]  # type: ignore[union-attr]
     assert springs[0].stiffness == pytest.approx(0.9, rel=0.01)  # type: ignore[union-attr]
+    assert "said of the vehicle as a rigid one" in told["meaning"]
+    assert sum(note.startswith("joint arm") and "before" in note for note in told["notes"]) == 4
     for report in ("report.md", "report.html"):
-        assert "Joints, fitted to the training flights" in (out / report).read_text()
+        page = (out / report).read_text()
+        assert "Joints, fitted to the training flights" in page
+        assert "the corrected robot is the declared one" not in page
+    given = ["close-loop", "--robot", "base_quadrotor", "--train", str(paths[0]), "--test", str(paths[2])]
+    assert main([*given, "--joints", "--out", str(tmp_path / "no")]) == 2
+    assert not (tmp_path / "no").exists()
     with pytest.raises(ConfigError, match="leave the mapping out"):
         close_loop(declared, paths[:2], paths[2:], tmp_path / "no", mapping="nanobench_cf21", joints=True)
