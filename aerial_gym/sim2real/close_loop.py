@@ -29,7 +29,7 @@ from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.report.ranges import with_found_ranges
 from aerial_gym.sim2real.report.run_folder import check_out_dir, whole_folder, write_record
-from aerial_gym.sim2real.teststand.joints.flights import find_joints, with_joints
+from aerial_gym.sim2real.teststand.joints.flights import BANDWIDTH_HZ, OF_RATE, find_joints, with_joints
 
 
 def close_loop(
@@ -87,8 +87,11 @@ def close_loop(
         inputs = read_inputs(declared, train, test, mapping=layout, bandwidth=bandwidth)
         for sentence in inputs.left_out:
             progress(sentence, 0.0)
-        used = [Path(flight.path) for flight in inputs.train]
-        found = find_joints(declared, used, progress=progress) if joints else None
+        found = None
+        if joints:
+            used, rate = [Path(flight.path) for flight in inputs.train], min(flight.rate for flight in inputs.train)
+            band = min(BANDWIDTH_HZ, OF_RATE * rate)
+            found = find_joints(declared, used, bandwidth=band, progress=progress)
         judged = judge_flights(
             declared,
             inputs.train,

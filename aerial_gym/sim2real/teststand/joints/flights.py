@@ -28,7 +28,10 @@ from aerial_gym.sim2real.teststand.report import Study, Table
 from aerial_gym.sim2real.teststand.studies import change, interval
 
 BANDWIDTH_HZ = 15.0
-"""Below which joints are looked for if nothing else is said [Hz]; at most a fifth of the logs' rate."""
+"""Below which joints are looked for if nothing else is said [Hz]."""
+
+OF_RATE = 0.199
+"""Highest band as a share of the logs' rate: a fifth, less what their times are off."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,6 +14,7 @@ from aerial_gym.config.joint import DriveCfg
 from aerial_gym.config.loader import dump_yaml
 from aerial_gym.config.robot import load_robot
 from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics.articulated.joint_laws import Limits, Spring
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real import close_loop
@@ -21,7 +22,7 @@ from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import edge_rows, uniform_log
 from aerial_gym.sim2real.teststand.joints import swing
 from aerial_gym.sim2real.teststand.joints.hidden import _Fit, fit_hidden_joints
-from aerial_gym.sim2real.teststand.joints.swing import Laws, Ride, ride_of
+from aerial_gym.sim2real.teststand.joints.swing import Laws, Ride, Swing, ride_of
 from tests.unit.sim2real.teststand.test_flown_joints import HIDDEN, SAME, flight, robot
 
 BAND = 15.0
@@ -54,6 +55,20 @@ def test_what_a_body_feels_of_swinging_arms_is_what_that_of_the_plant_felt(
     left = (felt - ride.felt[None, fit.swing.warm :])[:, edge:-edge]
     right, wrong = np.sqrt(np.mean((left - left.mean(axis=1, keepdims=True)) ** 2, axis=1))
     assert (right < 0.2 * wrong).all()
+
+
+def test_effects_of_the_robot_file_push_the_links_too(tmp_path: Path) -> None:
+    """Drag of the rotors, whose middle is 10 mm above the origin, is in the wrench on the base, in any number of rows."""
+    table = flight([SAME] * 4, 5, seconds=3.2, noise=0.0)
+    plain = ride_from(table, tmp_path / "f.csv")
+    dragged = replace(robot(), effects={"rotor_drag": {"dx": 0.5, "dy": 0.5, "dz": 0.0}}, effects_source="invented")
+    ride = ride_of(dragged, uniform_log(read_flight_log(tmp_path / "f.csv")), bandwidth=BAND)
+    Swing(dragged, [ride], bandwidth=BAND)
+    middle = torch.tensor([[0.0, 0.0, 0.01]], dtype=torch.float64).expand_as(ride.base.ang_vel)
+    velocity = quat_rotate_inverse(ride.base.attitude, ride.base.lin_vel) + torch.linalg.cross(
+        ride.base.ang_vel, middle
+    )
+    torch.testing.assert_close((ride.wrench - plain.wrench)[:, 0, :2], -0.5 * velocity[:, :2], rtol=1e-6, atol=1e-9)
 
 
 def test_friction_acts_against_the_motion_and_an_end_never_pulls() -> None:
