@@ -58,13 +58,13 @@ def test_what_a_body_feels_of_swinging_arms_is_what_that_of_the_plant_felt(
 
 
 def test_effects_of_the_robot_file_push_the_links_too(tmp_path: Path) -> None:
-    """Drag of the rotors, whose middle is 10 mm above the origin, is in the wrench on the base, in any number of rows."""
+    """Drag at the centre of mass, ``-d v``, is in the wrench on the base, in any number of rows."""
     table = flight([SAME] * 4, 5, seconds=3.2, noise=0.0)
     plain = ride_from(table, tmp_path / "f.csv")
     dragged = replace(robot(), effects={"rotor_drag": {"dx": 0.5, "dy": 0.5, "dz": 0.0}}, effects_source="invented")
     ride = ride_of(dragged, uniform_log(read_flight_log(tmp_path / "f.csv")), bandwidth=BAND)
     Swing(dragged, [ride], bandwidth=BAND)
-    middle = torch.tensor([[0.0, 0.0, 0.01]], dtype=torch.float64).expand_as(ride.base.ang_vel)
+    middle = torch.tensor([dragged.body.com], dtype=torch.float64).expand_as(ride.base.ang_vel)
     velocity = quat_rotate_inverse(ride.base.attitude, ride.base.lin_vel) + torch.linalg.cross(
         ride.base.ang_vel, middle
     )
