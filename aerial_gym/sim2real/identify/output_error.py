@@ -130,24 +130,16 @@ def refit_on_rollouts(predictor: Predictor, selection: Selection) -> Refit:
         Bayesian composite marginal likelihoods, section 3 (what correlated samples count).
     """
     if reason := impossible(predictor, selection):
-        return Refit(windows=0, changes=(), velocity=0.0, attitude=0.0, gains=False, objections=(reason,), scored=None)
+        return _not_done(reason, 0)
     fit = selection.final.fit
     windows = find_windows(predictor.flights, WINDOW_S, every=WINDOW_EVERY_S, most=MOST_WINDOWS)
-    if windows.row.size < 2 * fit.low.size:
-        reason = f"the training flights hold only {windows.row.size} windows of {WINDOW_S:g} s"
-        return Refit(
-            windows=windows.row.size,
-            changes=(),
-            velocity=0.0,
-            attitude=0.0,
-            gains=False,
-            objections=(reason,),
-            scored=None,
-        )
     runs = Rollouts(predictor, windows)
     deviation = best_within_tolerances(predictor.robot, fit, selection.left_out.weights.weight).deviation
     frozen, point = fit.frozen, replace(fit.point, deviation=deviation)
     found = runs.linearise(fit.effects, point, frozen)
+    if windows.row.size < 2 * _moving(found.fit):
+        reason = f"the training flights hold only {windows.row.size} windows of {WINDOW_S:g} s"
+        return _not_done(reason, windows.row.size)
     unseen = np.diag(uncertainty(found.fit, found.weight).plain) > 1.0
     frozen |= {fit.owners[k] for k in found.fit.free_effects[unseen]}
     for _ in range(MOST_ITERATIONS):
@@ -160,6 +152,17 @@ def refit_on_rollouts(predictor: Predictor, selection: Selection) -> Refit:
         point = with_params(predictor.robot, point, fit.effects, values)
         found = runs.linearise(fit.effects, point, frozen)
     return judge(predictor, selection, found, windows)
+
+
+def _not_done(reason: str, windows: int) -> Refit:
+    return Refit(
+        windows=windows, changes=(), velocity=0.0, attitude=0.0, gains=False, objections=(reason,), scored=None
+    )
+
+
+def _moving(fit: Fit) -> int:
+    """Return how many numbers, of effects and tolerances, the rollouts depend on."""
+    return np.count_nonzero(np.einsum("bckk->k", fit.moments.product))
 
 
 def best_within_tolerances(robot: RobotCfg, fit: Fit, weight: Array) -> ModelParams:

@@ -41,6 +41,7 @@ from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate, estim
 from aerial_gym.sim2real.predict.rows.together import Columns, Together
 from aerial_gym.sim2real.predict.tolerances import (
     Tolerances,
+    answered_noise,
     deviated,
     rotor_motion,
     sensor_biases,
@@ -150,8 +151,9 @@ class Predictor:
         biases = () if point.deviation is None else sensor_biases(self.tolerances, torch.from_numpy(point.deviation))
         sensors = [(place, bias.numpy().tobytes()) for place, bias in enumerate(biases) if bias.any()]
         numbers = [rows.numpy().tobytes() for rows in vehicle.rows().values()]
-        if point.deviation is not None and (motion := rotor_motion(torch.from_numpy(point.deviation))).any():
-            sensors.append((len(biases), motion.numpy().tobytes()))
+        for place, of in enumerate((rotor_motion, answered_noise), len(biases)):
+            if point.deviation is not None and (noise := of(torch.from_numpy(point.deviation))).any():
+                sensors.append((place, noise.numpy().tobytes()))
         others_key = key_of(ModelParams(effects=others))
         return (*numbers, *sensors, off.command_shift, off.joint_start, others_key, point.learned)
 

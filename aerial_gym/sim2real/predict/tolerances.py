@@ -2,7 +2,8 @@
 
 A number of a robot file was weighed or measured once, with the standard deviations below. What they can explain is not
 called an effect, and the intervals of the effects carry them. Of the same kind is what noise leaves unsure of how much the
-rotors moved: its size comes from each log (``rotor_estimate``). Letters: E environments, R rotors, N tolerances.
+rotors moved (``rotor_estimate``), and how much of the turning is noise that the autopilot answers (``answered_noise``): their
+sizes come from each log. Letters: E environments, R rotors, N tolerances.
 """
 
 from collections.abc import Collection
@@ -61,7 +62,9 @@ class Tolerances:
     def names(self, num_rotors: int) -> tuple[str, ...]:
         """Return the names of the N tolerances, in the order of ``Deviation``."""
         rotors = [f"{name}_{number}" for name in ("thrust", "rotor_motion") for number in range(1, num_rotors + 1)]
-        axes = [f"{name}_{axis}" for name in ("inertia", "com", "acc_bias", "gyro_bias") for axis in "xyz"]
+        axes = [
+            f"{name}_{axis}" for name in ("inertia", "com", "acc_bias", "gyro_bias", "answered_noise") for axis in "xyz"
+        ]
         return ("mass", *rotors, *axes, "time_constant", "nominal_voltage", "command_hold", "joint_rest")
 
     def strained(
@@ -97,6 +100,8 @@ class Tolerances:
             return f"calibrate it, or {known}"
         if name.startswith("rotor_motion"):
             return "the noise of the logged rotor speeds hides how much they moved; log commands, or fly more"
+        if name.startswith("answered_noise"):
+            return "torque and noise of the gyro go together, or something else is missing; fly more than hover"
         return known if name in ("command_hold", "joint_rest") else f"declare it anew, or {known}"
 
 
@@ -110,7 +115,7 @@ def deviate(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehi
         tolerances: Their sizes.
         deviation: In standard deviations, (N,), in the order of ``Tolerances.names``.
     """
-    mass, rotors, _, inertia, com, _, _, lag, voltage, _, _ = _parts(deviation)
+    mass, rotors, _, inertia, com, _, _, _, lag, voltage, _, _ = _parts(deviation)
     factor = (1.0 + tolerances.thrust * rotors).unsqueeze(0)
     stretch = (1.0 + tolerances.inertia * inertia).clamp_min(0.01).sqrt()
     slower = 1.0 + tolerances.time_constant * lag
@@ -155,7 +160,7 @@ def deviated(declared: Vehicle, tolerances: Tolerances, deviation: NDArray[np.fl
 
 def sensor_biases(tolerances: Tolerances, deviation: Tensor) -> tuple[Tensor, Tensor]:
     """Return the biases of accelerometer [m/s²] and gyro [rad/s], body, each (3,)."""
-    *_, acc, gyro, _, _, _, _ = _parts(deviation)
+    *_, acc, gyro, _, _, _, _, _ = _parts(deviation)
     return tolerances.acc_bias * acc, tolerances.gyro_bias * gyro
 
 
@@ -174,8 +179,13 @@ def rotor_motion(deviation: Tensor) -> Tensor:
     return _parts(deviation)[2]
 
 
+def answered_noise(deviation: Tensor) -> Tensor:
+    """Return how much of the turning about each axis is noise in step with the torque, in standard deviations, (3,)."""
+    return _parts(deviation)[7]
+
+
 def _parts(deviation: Tensor) -> tuple[Tensor, ...]:
-    """Return the deviations of mass, thrust, rotor motion, inertia, com, acc_bias, gyro_bias and of each of the others."""
-    others = [3, 3, 3, 3, 1, 1, 1, 1]
+    """Return the deviations of mass, thrust, rotor motion, inertia, com, biases, answered noise and of each of the others."""
+    others = [3, 3, 3, 3, 3, 1, 1, 1, 1]
     rotors = (deviation.numel() - 1 - sum(others)) // 2
     return torch.split(deviation, [1, rotors, rotors, *others])

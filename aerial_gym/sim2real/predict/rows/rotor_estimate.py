@@ -26,7 +26,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy import fft, signal
 from scipy.optimize import isotonic_regression
 
 from aerial_gym.config.robot import RobotCfg
@@ -38,20 +37,9 @@ from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import without_line
 from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params, effects_at
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
+from aerial_gym.sim2real.predict.rows.spectra import density_of, filtered, noise_above, segment_length
 
 Array = NDArray[np.float64]
-
-SEGMENT_S = 2.0
-"""Length of a segment of Welch's spectrum [s]."""
-
-OCTAVE = 2.0
-"""Width of the bands of which the quietest gives the noise."""
-
-FROM_BAND, TO_BAND = 1.5, 6.0
-"""They lie between these multiples of the bandwidth: near it, for a log that was resampled has less noise far above it."""
-
-TO_RATE = 0.45
-"""And below this share of the rate."""
 
 ORDER = (2, 3, 4, 5, 0, 1)
 """Forces and torques in the order in which combinations of rotors are found that make them: thrust, roll, pitch, yaw, then the
@@ -119,8 +107,8 @@ def _estimate(flight: Flight, led: Array | None, made: Array, bandwidth: float) 
     if speed is None:
         return None
     base = np.broadcast_to(speed.mean(axis=0), speed.shape)
-    frequency, density = _spectrum(speed - base if led is None else speed - led, rate)
-    noise = _quietest(frequency, density, FROM_BAND * bandwidth, min(TO_BAND * bandwidth, TO_RATE * rate))
+    frequency, density = density_of(speed - base if led is None else speed - led, rate)
+    noise = noise_above(frequency, density, bandwidth, rate)
     if noise is None or not noise[0].all():
         return None
     level, lines = noise
@@ -128,17 +116,17 @@ def _estimate(flight: Flight, led: Array | None, made: Array, bandwidth: float) 
     modes = _modes(made * root)
     moved, around = (speed - base) / root @ modes, np.zeros_like(speed)
     if led is not None:
-        density = _spectrum(moved, rate)[1]
+        density = density_of(moved, rate)[1]
         in_band = density[(frequency > 0.0) & (frequency <= bandwidth)].mean(axis=0)
         noisy = in_band - 1.0 < 1.0  # motion is less than noise, which is 1 here
         around[:, noisy] = ((led - base) / root @ modes)[:, noisy]
         moved = moved - around
-    density, segments = _spectrum(moved, rate)[1], _segments(len(speed), rate)
+    density, segments = density_of(moved, rate)[1], _segments(len(speed), rate)
     shares = [_share_of_motion(one, segments, 1.0 / np.sqrt(segments * lines)) for one in density.T]
     share, spread = (np.stack(parts, axis=1) for parts in zip(*shares, strict=True))
     left = without_line(moved.T).T
-    expected = around + moved - left + _filtered(left, frequency, share, rate)
-    unsure = _filtered(left, frequency, spread, rate)
+    expected = around + moved - left + filtered(left, frequency, share, rate)
+    unsure = filtered(left, frequency, spread, rate)
     return RotorEstimate(
         speed=base + expected @ modes.T * root, unsure=unsure.T[:, :, None] * (modes.T * root)[:, None, :]
     )
@@ -149,48 +137,13 @@ def _modes(made: Array) -> Array:
     return np.linalg.qr(made[list(ORDER)].T, mode="complete")[0]
 
 
-def _length(rows: int, rate: float) -> int:
-    return min(rows, round(SEGMENT_S * rate))
-
-
-def _spectrum(values: Array, rate: float) -> tuple[Array, Array]:
-    """Return the frequencies [Hz], (L,), and the density of each column (T, any) there, level for white noise."""
-    length = _length(len(values), rate)
-    frequency, density = signal.welch(values, rate, nperseg=length, detrend=without_line, axis=0)  # pyright: ignore[reportArgumentType]
-    return frequency, density / _seen_without_line(length)[:, None]
-
-
-def _seen_without_line(length: int) -> Array:
-    """Return what is seen of white noise in each line of a segment, (L,), when the straight line through it is taken out.
-
-    Derived: of a row x of white noise, line k is ``v_k (x - P x)``, P the projection on straight lines, v_k the windowed wave;
-    its mean square is ``|v_k - P v_k|² = |v_k|² - |P v_k|²``.
-    """
-    window: Array = np.asarray(signal.get_window("hann", length), dtype=float)
-    place = np.arange(length) - 0.5 * (length - 1)
-    lost = sum(np.abs(np.fft.rfft(window * one)) ** 2 / (one @ one) for one in (np.ones(length), place))
-    return 1.0 - lost / (window @ window)
-
-
 def _segments(rows: int, rate: float) -> float:
     """Return over how many independent segments Welch's mean is: half-overlapping Hann windows count 9/11 each.
 
     Source: Welch (1967), The use of fast Fourier transform for the estimation of power spectra, IEEE Transactions on Audio and
     Electroacoustics 15 (variance 11/9 of that of as many independent segments).
     """
-    return max(1.0, 9.0 / 11.0 * (2.0 * rows / _length(rows, rate) - 1.0))
-
-
-def _quietest(frequency: Array, density: Array, low: float, high: float) -> tuple[Array, float] | None:
-    """Return the mean density of the quietest octave of each column, (R,), and how many lines an octave has at least.
-
-    None where the log has no octave between two frequencies.
-    """
-    places = np.flatnonzero((frequency >= low) & (OCTAVE * frequency <= high))
-    if not places.size:
-        return None
-    means = [density[place : round(OCTAVE * place)].mean(axis=0) for place in places]
-    return np.min(means, axis=0), (OCTAVE - 1.0) * float(places[0])
+    return max(1.0, 9.0 / 11.0 * (2.0 * rows / segment_length(rows, rate) - 1.0))
 
 
 def _share_of_motion(density: Array, segments: float, unsure: float) -> tuple[Array, Array]:
@@ -209,12 +162,3 @@ def _share_of_motion(density: Array, segments: float, unsure: float) -> tuple[Ar
     share = (weight * of_motion).sum(axis=0)
     spread = np.sqrt((weight * (of_motion - share) ** 2).sum(axis=0) + (unsure * (1.0 - share)) ** 2)
     return np.repeat(share, lines), np.repeat(spread, lines)
-
-
-def _filtered(values: Array, frequency: Array, gain: Array, rate: float) -> Array:
-    """Return columns (T, R) with a gain (L, R) at each frequency, without phase."""
-    mirrored = np.concatenate((values, values[::-1]))
-    at = fft.rfftfreq(len(mirrored), 1.0 / rate)
-    gains = np.stack([np.interp(at, frequency, one) for one in gain.T], axis=1)
-    spectrum = np.asarray(fft.rfft(mirrored, axis=0))
-    return np.asarray(fft.irfft(spectrum * gains, n=len(mirrored), axis=0))[: len(values)]

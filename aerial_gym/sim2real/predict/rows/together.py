@@ -47,16 +47,18 @@ from aerial_gym.physics.rigid_body import (
     with_memory,
 )
 from aerial_gym.sim2real.logs.signals import lowpass
-from aerial_gym.sim2real.predict.model_params import ModelParams, effects_at
+from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params, effects_at
 from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
 from aerial_gym.sim2real.predict.replay.memory import remembered_along
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
+from aerial_gym.sim2real.predict.rows.answered_noise import seeming_torque
 from aerial_gym.sim2real.predict.rows.batches import expand_model, with_known_wind
 from aerial_gym.sim2real.predict.rows.dataset import Dataset
 from aerial_gym.sim2real.predict.rows.imu_reading import imu_of
 from aerial_gym.sim2real.predict.rows.in_band import InBand, columns_of
 from aerial_gym.sim2real.predict.tolerances import (
     Tolerances,
+    answered_noise,
     command_shift,
     deviate,
     joint_start,
@@ -115,6 +117,7 @@ class Together:
         self._replayed: list[tuple[list[Array | None], list[Columns]]] = []
         self._conditions: OrderedDict[tuple[object, ...], tuple[object, Condition]] = OrderedDict()
         self._hung: _Hanging | None = None
+        self._params, self._in_step = declared_params(robot), None
 
     def predict(self, point: ModelParams) -> list[Columns]:
         """Return the predicted channels of each flight; not to be written to."""
@@ -188,11 +191,24 @@ class Together:
         if model.effects[ImuEffect]:
             of_force, of_rate = imu_of(model)
             force, torque = torch.where(felt, of_force.of(force), force), times(torque, of_rate.turn)
+        if (share := answered_noise(deviation)).any():
+            torque = torque + share * self._seeming()
         return {
             "specific_force": columns_of(force + force_bias * felt),
             "angular_acceleration": columns_of(torque),  # a constant error has no derivative
             **self._read_of_kinematics(model, force_bias, rate_bias),
         }
+
+    def _seeming(self) -> Tensor:
+        """Return one standard deviation of what noise in step with the torque seems to add to it [rad/s²], body, (T, 3)."""
+        if self._in_step is None:
+            data, turning = self.data, np.stack(self._rows(self._asked(self._params))["angular_acceleration"], axis=1)
+            parts = []
+            for flight, span in zip(data.flights, data.kept_spans, strict=True):
+                share = seeming_torque(flight, self._declared, turning[span], data.bandwidth)
+                parts.append(share * (turning[span] - turning[span].mean(axis=0)))
+            self._in_step = torch.from_numpy(np.concatenate(parts))
+        return self._in_step
 
     def _read_of_kinematics(self, model: Model, force_bias: Tensor, rate_bias: Tensor) -> dict[str, Columns]:
         """Return what the sensors read of what kinematics imply: the same for all models whose sensors err alike."""

@@ -12,7 +12,6 @@ from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rows.rotor_estimate import (
     _modes,
-    _quietest,
     _share_of_motion,
     as_measured,
     estimate_rotors,
@@ -161,17 +160,6 @@ def test_the_share_of_motion_is_as_sure_as_it_says() -> None:
             share, spread = _share_of_motion(density, float(segments), 0.0)
             away.append((share.mean() - motion / (1.0 + motion)) / spread.mean())
         assert np.mean(np.abs(away) < 2.0) > 0.9
-
-
-def test_the_noise_is_that_of_the_quietest_octave() -> None:
-    """A density that falls to its level, and rises again: the mean of the octave between."""
-    frequency = np.arange(0.0, 100.0, 0.5)
-    density = np.where(frequency < 20.0, 50.0, np.where(frequency > 45.0, 9.0, 2.0))[:, None]
-    found = _quietest(frequency, density, 15.0, 90.0)
-    assert found is not None
-    assert found[0] == pytest.approx(2.0)
-    assert found[1] == 30.0
-    assert _quietest(frequency, density, 60.0, 90.0) is None
 
 
 def test_rotors_that_moved_more_than_expected_are_a_deviation_like_any_other() -> None:
