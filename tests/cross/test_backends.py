@@ -161,7 +161,12 @@ ONE_OF_EACH_KIND = ("no_control", "lee_position_control", "pid_velocity_control"
 @pytest.mark.parametrize(
     ("controller", "integrator"),
     [(name, "euler") for name in CONTROLLERS.names() if CONTROLLERS.get(name).gains is None]
-    + [(name, integrator) for name in ONE_OF_EACH_KIND for integrator in INTEGRATORS if integrator != "euler"],
+    + [
+        pytest.param(name, integrator, marks=() if name == "no_control" else pytest.mark.slow)
+        for name in ONE_OF_EACH_KIND
+        for integrator in INTEGRATORS
+        if integrator != "euler"
+    ],
 )
 def test_every_controller_and_stepper_flies_like_torch(
     controller: str, integrator: str, request: pytest.FixtureRequest

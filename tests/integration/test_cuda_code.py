@@ -161,13 +161,14 @@ def test_row_kernels_compile() -> None:
     compile_for_gpu(rows.kernel.module)
 
 
+@pytest.mark.slow
 def test_the_physics_kernel_with_obstacles_that_push_compiles() -> None:
     state = start(2, height=1.0, dtype=torch.float32)
     rig = InScene([ShapeCfg(kind="plane")], obstacle(2), ContactCfg(friction=0.5), state)
     compile_for_gpu(rig.backend.kernel.module)
 
 
-@pytest.mark.parametrize(("moves", "cores"), [(True, False), (False, True)])
+@pytest.mark.parametrize(("moves", "cores"), [pytest.param(True, False, marks=pytest.mark.slow), (False, True)])
 def test_the_collision_kernel_compiles(moves: bool, cores: bool) -> None:
     compile_for_gpu(make_walk(moves=moves, shared=True, cores=cores).module)
 

@@ -25,8 +25,7 @@ MORE_EFFECTS = (
     "rotor_drag", "actuation_delay", "quadratic_drag", "thrust_coefficient", "motor_time_constant", "constant_wind",
     "h_force_flapping", "imu_misalignment", "battery_sag", "ceiling_effect", "downwash", "joint_spring", "joint_creep",
 )  # fmt: skip
-CAUSES = ("unknown_position",)
-MORE_CAUSES = ("unknown_periodic", "unknown_time", "unknown_heading")
+CAUSES = ("unknown_position", "unknown_periodic", "unknown_time", "unknown_heading")
 
 
 @pytest.fixture(autouse=True)
@@ -132,7 +131,8 @@ def test_the_gap_closed_where_an_effect_acts_is_that_above_gusts(tmp_path: Path)
     assert acts["gap_closed"] == pytest.approx((before**2 - after**2) / (before**2 - floor**2), rel=1e-6)
 
 
-@pytest.mark.parametrize("cause", [*CAUSES, *slow(MORE_CAUSES)])
+@pytest.mark.slow
+@pytest.mark.parametrize("cause", CAUSES)
 def test_an_unknown_cause_is_given_no_name_but_its_structure(cause: str, tmp_path: Path) -> None:
     verdict, _ = run_case(tmp_path, {cause: "moderate"}, 213)
     assert verdict["verdict"] == "unexplained"

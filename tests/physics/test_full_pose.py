@@ -28,7 +28,10 @@ def flown(robot: str, controller: str, actions: torch.Tensor, steps: int) -> Env
     return env
 
 
-@pytest.mark.parametrize(("robot", "within"), [("base_octarotor", 0.01), ("base_rov", 0.01), ("bluerov2_heavy", 0.1)])
+@pytest.mark.parametrize(
+    ("robot", "within"),
+    [("base_octarotor", 0.01), ("base_rov", 0.01), pytest.param("bluerov2_heavy", 0.1, marks=pytest.mark.slow)],
+)
 def test_a_place_is_held_in_any_attitude(robot: str, within: float) -> None:
     """Level, on its side, nose up and nearly upside down, at one and the same place; q and -q are one attitude.
 

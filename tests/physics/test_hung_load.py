@@ -68,7 +68,7 @@ def test_both_bodies_together_fall_as_gravity_and_thrust_say(backend: str) -> No
     torch.testing.assert_close(momentum() - before, fallen, atol=2e-5, rtol=0.0)
 
 
-@pytest.mark.parametrize("backend", ["torch", "warp"])
+@pytest.mark.parametrize("backend", TORCH_SLOWLY)
 def test_a_reset_hangs_new_loads_in_the_rows_of_the_mask_alone(backend: str) -> None:
     env = make(backend, length=RandomizeCfg(how="value", low=0.3, high=1.0))
     told, mask = torch.tensor([[0.7, 0.7, 0.8, 0.8]]).expand(3, -1), torch.tensor([True, False, True])

@@ -14,7 +14,9 @@ from aerial_gym.robots import ROBOTS
 from tests.physics.vehicles import F64
 
 
-@pytest.mark.parametrize(("backend", "tolerance"), [("torch", 1e-6), ("warp", 2e-5)])
+@pytest.mark.parametrize(
+    ("backend", "tolerance"), [pytest.param("torch", 1e-6, marks=pytest.mark.slow), ("warp", 2e-5)]
+)
 @pytest.mark.parametrize("effectiveness", ["actual", "nominal"])
 def test_a_longer_arm_tilts_only_an_autopilot_that_does_not_know_it(
     backend: str, tolerance: float, effectiveness: str

@@ -61,7 +61,7 @@ FAST = [name for name, cfg in geometric_controllers().items() if cfg.inner is No
 
 
 def shared_out() -> list[tuple[str, str]]:
-    """Return every robot with the position controller and with every fifth of the others, each with every fifth robot.
+    """Return every robot with the position controller and with every tenth of the others, each with every tenth robot.
 
     ``test_nor_with_any_other_controller_at_any_sim`` flies all of them.
     """
@@ -69,7 +69,7 @@ def shared_out() -> list[tuple[str, str]]:
         (robot, controller)
         for i, robot in enumerate(different_robots())
         for j, controller in enumerate(FAST)
-        if controller in ("lee_position_control", "fully_actuated_control") or (i + j) % 5 == 0
+        if controller in ("lee_position_control", "fully_actuated_control") or (i + j) % 10 == 0
     ]
 
 

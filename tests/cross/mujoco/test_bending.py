@@ -149,7 +149,16 @@ def test_environments_bend_alone_as_in_a_batch_and_what_is_not_finite_stays_so(
         bodies.move(tree, links, (), first, 0.01, gravity=G, wrench=no_wrench(tree, 3))
 
 
-@pytest.mark.parametrize("robot", [name for name in ROBOTS.names() if ROBOTS.get(name).joints is not None])
+@pytest.mark.parametrize(
+    "robot",
+    [
+        pytest.param(
+            name, marks=pytest.mark.slow if name.endswith(("_position", "_effort")) else ()
+        )  # drives, by test_trees
+        for name in ROBOTS.names()
+        if ROBOTS.get(name).joints is not None
+    ],
+)
 def test_every_robot_with_joints_flies_as_on_torch(robot: str) -> None:
     """0.3 s in float32, from draws; joints and base agree to 1e-4 of their size (snakes whip at up to 50 rad/s)."""
     sims = []

@@ -26,7 +26,7 @@ def on_ground(cfg: ContactCfg | None, state, **options) -> OnGround:
     return OnGround(BACKENDS.get("mujoco")(), cfg, state, **options)
 
 
-@pytest.mark.parametrize("dt", [0.001, 0.004, 0.02])
+@pytest.mark.parametrize("dt", [pytest.param(0.001, marks=pytest.mark.slow), 0.004, 0.02])
 @pytest.mark.parametrize("spheres", [BALL, FEET])
 def test_weight_presses_each_contact_as_deep_as_the_file_says(spheres, dt: float) -> None:
     """At rest m g = n K m depth for n contacts, at steps of any length; the ground's impulse is the change of momentum."""
@@ -39,7 +39,7 @@ def test_weight_presses_each_contact_as_deep_as_the_file_says(spheres, dt: float
     assert rig.impulse[0, 2].item() == pytest.approx(MASS * GRAVITY * span, rel=1e-9)
 
 
-@pytest.mark.parametrize("damping_ratio", [0.0, 0.1, 0.3, 0.7])
+@pytest.mark.parametrize("damping_ratio", [0.0, *(pytest.param(z, marks=pytest.mark.slow) for z in (0.1, 0.7)), 0.3])
 def test_a_bounce_is_that_of_a_spring_and_a_damper_that_never_pull(damping_ratio: float) -> None:
     """Without gravity the speeds after and before are as ``exp(-tan(phi) (pi - 2 phi))``, ``sin(phi) = zeta``.
 
@@ -147,6 +147,7 @@ def test_environments_touch_alone_as_in_a_batch_and_centres_of_mass_move_their_f
     )  # the feet under the centre of mass carry more
 
 
+@pytest.mark.slow
 def test_a_landing_at_an_angle_ends_where_it_does_in_torch() -> None:
     """Two laws of the same spring, damper and friction: 1 % of the path, 3 % of the speed before rolling sets in."""
     ends = []

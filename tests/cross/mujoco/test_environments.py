@@ -44,7 +44,9 @@ def assert_alike(one: EnvManager, other: EnvManager, *, bound: float = 1e-4) -> 
         torch.testing.assert_close(one.gtd[key], other.gtd[key], rtol=0.0, atol=bound, msg=key)
 
 
-@pytest.mark.parametrize("env", ["empty_env", "env_with_obstacles", "landing_env"])
+@pytest.mark.parametrize(
+    "env", ["empty_env", pytest.param("env_with_obstacles", marks=pytest.mark.slow), "landing_env"]
+)
 def test_a_simulation_flies_as_on_torch(env: str) -> None:
     """With bodies drawn at every reset, of the whole batch and of one environment on the way."""
     sims = [build(backend, env, randomize=BODY) for backend in ("torch", "mujoco")]
@@ -112,7 +114,7 @@ def test_obstacles_push_by_the_hook_that_follows_each_substep() -> None:
     assert ((forces[1] > 0.1) == (forces[0] > 0.1)).all()
 
 
-@pytest.mark.parametrize("name", ["position_setpoint_task", "navigation_task"])
+@pytest.mark.parametrize("name", ["position_setpoint_task", pytest.param("navigation_task", marks=pytest.mark.slow)])
 def test_a_task_steps_and_resets(name: str) -> None:
     rewards = []
     for backend in ("torch", "mujoco"):

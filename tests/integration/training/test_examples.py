@@ -105,6 +105,7 @@ def test_a_law_that_knows_of_a_lost_rotor_hovers_without_it(told: Told) -> None:
     assert worst < 95.0
 
 
+@pytest.mark.slow
 def test_a_law_that_waits_above_a_platform_lands_on_it(told: Told) -> None:
     """Straight to it a vehicle touches its edge, or touches it too fast."""
     (_, (_, crash)), (_, (landed, less)) = told("land.py", 64)
@@ -112,6 +113,7 @@ def test_a_law_that_waits_above_a_platform_lands_on_it(told: Told) -> None:
     assert less < 20.0 < crash
 
 
+@pytest.mark.slow
 def test_a_law_that_knows_its_load_holds_it_at_its_point(told: Told) -> None:
     (_, (held, far)), (_, (more, near)) = told("carry.py", 64)
     assert held == 0.0

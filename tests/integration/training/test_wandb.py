@@ -61,7 +61,9 @@ def drawn(out: Path) -> dict[str, set[int]]:
     return found
 
 
-@pytest.mark.parametrize("trainer", ["ppo", "rl_games", "sample_factory"])
+@pytest.mark.parametrize(
+    "trainer", ["ppo", *(pytest.param(name, marks=pytest.mark.slow) for name in ("rl_games", "sample_factory"))]
+)
 def test_every_scalar_of_tensorboard_is_sent(trainer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if trainer != "ppo":
         pytest.importorskip(trainer, reason=f"{trainer} is not installed: pip install 'aerial-gym[rl]'")

@@ -87,7 +87,7 @@ class Push(WrenchEffect):
         return torch.cat((torch.zeros_like(params), params), dim=-1)
 
 
-@pytest.mark.parametrize("integral", [True, False])
+@pytest.mark.parametrize("integral", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_constant_torque_leaves_no_error_with_an_integral_and_a_known_one_without(integral: bool) -> None:
     """At rest ``J (P e + I) + m = 0``: with an integral e = 0 and ``I = -m / J``, without one ``w = m / (J P)``."""
     cfg = PID if integral else replace(PID, rate_loop=RateLoopCfg(integral=(0.0, 0.0, 0.0)))
@@ -250,13 +250,10 @@ CASES = {
     "with effects": (replace(BUSY, law="attitude"), ("gusts", "actuation_delay", "rotor_drag")),
     "no loop": (replace(CONTROLLERS.get("lee_velocity_control"), rate_hz=100.0, action_delay=0.004), ()),
     "clamped": (replace(PID, allocation="clamp"), ()),
-    **{name: (CONTROLLERS.get(name), ()) for name in CONTROLLERS.names() if name.startswith("px4_")},
-    "betaflight_rate_control": (CONTROLLERS.get("betaflight_rate_control"), ()),
     "all of Betaflight": (
         replace(CONTROLLERS.get("betaflight_rate_control"), rate_hz=50.0, delay=0.014, betaflight=TUNED),
         (),
     ),
-    **{name: (CONTROLLERS.get(name), ()) for name in CONTROLLERS.names() if name.startswith("crazyflie_")},
     "all of Mellinger": (
         replace(
             CONTROLLERS.get("crazyflie_mellinger_control"), rate_hz=250.0, action_delay=0.004, mellinger=EVERY_MELLINGER

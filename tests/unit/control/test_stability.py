@@ -56,6 +56,7 @@ def test_registered_robots_come_to_rest_at_every_sim(law: str, robot: str) -> No
         assert radius(ROBOTS.get(robot), CONTROLLERS.get(law), sim.dt) < 1.0
 
 
+@pytest.mark.slow
 def test_the_radius_of_a_controller_with_memory_is_that_of_a_flight() -> None:
     """A small turn dies out by the radius in each step: over 400 steps, when the quicker modes are gone, by its 400th power."""
     loop = RateLoopCfg(rate_hz=100.0, derivative=(0.1, 0.1, 0.1), cutoff_hz=20.0)

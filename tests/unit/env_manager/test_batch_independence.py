@@ -175,9 +175,12 @@ LIKE_OTHERS = (
     "position_setpoint_task_morphy_stiff", "position_setpoint_task_reconfigurable", "racing_split_s_task",
     "radar_navigation_task", "radar_navigation_task_held", "smooth_tracking_task", "racing_random_track_task",
     "platform_landing_task", "gust_rejection_task", "any_quadrotor_task", "payload_task", "safe_navigation_task",
+    "pixel_navigation_task", "recovery_task", "position_setpoint_task_sim2real_px4",
+    "position_setpoint_task_acceleration_sim2real",
 )  # fmt: skip
 """Other numbers, or fewer parts, than ``position_setpoint_task_morphy``, ``racing_task``, ``lidar_navigation_task``,
-``agile_tracking_task``, ``motor_failure_task``, and ``tracking_task`` with ``smooth_position_setpoint_task``."""
+``agile_tracking_task``, ``motor_failure_task``, ``dce_navigation_task``, ``position_setpoint_task_sim2real``, and
+``tracking_task`` with ``smooth_position_setpoint_task``."""
 
 
 @pytest.mark.parametrize(

@@ -63,7 +63,7 @@ def gradient_of(env: EnvManager) -> Tensor:
     return found.double()
 
 
-@pytest.mark.parametrize("robot", ["base_quadrotor", "mixed"])
+@pytest.mark.parametrize("robot", [pytest.param("base_quadrotor", marks=pytest.mark.slow), "mixed"])
 def test_kernels_have_the_gradients_of_torch_operations(robot: str) -> None:
     """A step in float32 is two kernels, forward and back; in float64 it is torch's own operations, held to differences above.
 

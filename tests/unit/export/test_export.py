@@ -113,7 +113,7 @@ def test_every_transform_of_actions_has_a_form_in_c() -> None:
 
 
 @COMPILER
-@pytest.mark.parametrize("rate_hz", [50, pytest.param(100, marks=pytest.mark.slow), 250])
+@pytest.mark.parametrize("rate_hz", [50, *(pytest.param(rate, marks=pytest.mark.slow) for rate in (100, 250))])
 def test_the_c_code_flies(rate_hz: int, tmp_path: Path) -> None:
     """At three rates, with commands that are 20 ms late and noise: it hovers, and each flight is that of torch.
 

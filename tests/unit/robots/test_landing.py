@@ -30,7 +30,10 @@ def land(robot: str, backend: str) -> tuple[torch.Tensor, torch.Tensor, torch.Te
 
 @pytest.mark.parametrize(
     ("robot", "backend"),
-    [("crazyflie_21", "warp"), ("base_quadrotor_on_skids", "warp"), ("base_quadrotor_on_skids", "torch")],
+    [
+        *(("crazyflie_21", "warp"), ("base_quadrotor_on_skids", "warp")),
+        pytest.param("base_quadrotor_on_skids", "torch", marks=pytest.mark.slow),
+    ],
 )
 def test_a_robot_with_a_flat_shape_stands_where_it_lands(robot: str, backend: str) -> None:
     """Level, but for unequal loads on a ground that gives way by a millimetre, and at rest."""

@@ -66,6 +66,7 @@ def found(folder: Path, **hidden: float) -> dict:
     ],
 )
 @pytest.mark.usefixtures("no_pixels")
+@pytest.mark.slow
 def test_the_hidden_effect_is_named(
     hidden: dict[str, float], name: str, params: dict[str, float], tmp_path: Path
 ) -> None:

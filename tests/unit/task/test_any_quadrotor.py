@@ -95,7 +95,11 @@ def test_a_square_quadrotor_is_flown_as_a_quadrotor_rotor_by_rotor(robot: str) -
 
 
 @pytest.mark.parametrize(
-    "robot", ["typhoon_hexarotor", "tilted_hexarotor", "coaxial_octarotor", "base_octarotor", "morphy_stiff"]
+    "robot",
+    [
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("typhoon_hexarotor", "base_octarotor")),
+        *("tilted_hexarotor", "coaxial_octarotor", "morphy_stiff"),
+    ],
 )
 @pytest.mark.parametrize("controller", ["rotor_speed_control", "no_control"])
 def test_other_rotors_lift_and_turn_as_a_quadrotor_would(robot: str, controller: str) -> None:

@@ -588,6 +588,7 @@ def test_draws_are_what_their_parameters_say(name: str) -> None:
         tuple(UNKNOWN),
     ],
 )
+@pytest.mark.slow
 def test_flights_follow_their_reference_with_several_effects(effects: tuple[str, ...]) -> None:
     """The autopilot holds on to its reference within 0.25 m with four or more moderate effects at once.
 

@@ -49,7 +49,17 @@ def test_the_mode_sees_what_it_refuses() -> None:
                 wrong()
 
 
-@pytest.mark.parametrize("name", [*task_registry.names(), "rich", "seeing"])
+LIKE_OTHERS = ("radar_navigation_task", "radar_navigation_task_held", "position_setpoint_task_reconfigurable")
+"""Their terms are those of ``lidar_navigation_task``, whose rays are others, and of ``position_setpoint_task_morphy``."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(pytest.param(name, marks=pytest.mark.slow if name in LIKE_OTHERS else ()) for name in task_registry.names()),
+        *("rich", "seeing"),
+    ],
+)
 def test_a_step_of_a_task_can_be_captured(name: str) -> None:
     """Some environments end on the way, so that the masked reset, with all that it draws, is in the step."""
     own = {"rich": rich, "seeing": seeing}

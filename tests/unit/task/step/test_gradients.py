@@ -74,6 +74,10 @@ def flown(task: Task) -> Callable[[Tensor], Tensor]:
     return total
 
 
+SLOWLY = [pytest.param(name, marks=pytest.mark.slow) for name in ("position_setpoint_task", "tracking_task")]
+"""Tasks whose terms are all in ``everything``."""
+
+
 def test_gradients_of_rewards_and_observations_are_their_differences() -> None:
     """With episodes that end within the window, to the accuracy of central differences."""
     task = built(with_everything(), NUM_ENVS, gradients=F64)
@@ -81,7 +85,7 @@ def test_gradients_of_rewards_and_observations_are_their_differences() -> None:
     assert torch.autograd.gradcheck(flown(task), (actions.requires_grad_(),), atol=1e-6, rtol=1e-5)
 
 
-@pytest.mark.parametrize("name", ["position_setpoint_task", "tracking_task", "everything"])
+@pytest.mark.parametrize("name", [*SLOWLY, "everything"])
 def test_kernels_have_the_gradients_of_torch_operations(name: str) -> None:
     """In float32, by two kernels for each part of the step, against torch's own operations in float64, held to differences.
 
@@ -100,9 +104,7 @@ def test_kernels_have_the_gradients_of_torch_operations(name: str) -> None:
         assert (task._observer.rows._kernels is not None) == in_kernels
 
 
-@pytest.mark.parametrize(
-    "name", ["position_setpoint_task", pytest.param("tracking_task", marks=pytest.mark.slow), "everything"]
-)
+@pytest.mark.parametrize("name", [*SLOWLY, "everything"])
 def test_a_task_with_gradients_is_the_task_without(name: str) -> None:
     """Rewards, ends and observations of the same flight, from kernels and from torch operations, to float32."""
     cfg = with_everything() if name == "everything" else replace(task_registry.get(name), episode_len_steps=7)

@@ -20,7 +20,7 @@ RANDOMIZE = {
 }
 
 
-DRAWN = ("position_setpoint_task", "lidar_navigation_task", "racing_task", "any_quadrotor_task")
+DRAWN = ("position_setpoint_task", "racing_task", "any_quadrotor_task")
 """Tasks of one kind each that are tried with drawn parameters as well."""
 
 

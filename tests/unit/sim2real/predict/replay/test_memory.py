@@ -171,6 +171,7 @@ def test_arms_that_have_only_begun_to_creep_are_a_deviation_within_the_tolerance
     np.testing.assert_array_equal(*rigid)
 
 
+@pytest.mark.slow
 def test_predictions_are_those_of_the_independent_plant(tmp_path: Path) -> None:
     """A flight without noise: of the specific force that rigid arms miss, rows and band leave less than 0.3 %."""
     hidden = {"joint_spring": {"compliance": 1.6, "tau": 0.04, "hinge": 0.4}}
