@@ -25,6 +25,9 @@ class ExportCmd:
     out: Path | None = None
     """Folder; export/ in the run folder if not given."""
 
+    robot: str | None = None
+    """Registered robot, or a robot file, in place of the training's: the corrected vehicle, or yours for a policy of many."""
+
     name: str | None = None
     """Of files and C functions; that of the task if not given."""
 
@@ -45,7 +48,7 @@ class ExportCmd:
         with progress_bar() as progress, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of the exporters, about names of axes
             progress("writing", 0.0)
-            found = export_policy(self.policy, out, self.to, name=self.name, check=self.check)
+            found = export_policy(self.policy, out, self.to, robot=self.robot, name=self.name, check=self.check)
             progress("writing", 1.0)
         if self.json:
             for each in found:

@@ -4,7 +4,7 @@ Letters: O entries of an observation, M numbers of memory.
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -52,7 +52,13 @@ class Exported:
 
 
 def export_policy(
-    source: str | Path, out: str | Path, to: Iterable[str], *, name: str | None = None, check: bool = True
+    source: str | Path,
+    out: str | Path,
+    to: Iterable[str],
+    *,
+    robot: str | None = None,
+    name: str | None = None,
+    check: bool = True,
 ) -> list[Exported]:
     """Write the policy of a run folder or checkpoint in some formats, with ``policy.json`` beside it.
 
@@ -60,6 +66,8 @@ def export_policy(
         source: Run folder, or one checkpoint in it.
         out: Folder; made if it is not there.
         to: Names of ``FORMATS``.
+        robot: Registered robot, or a robot file, that it is to fly in place of that of its training: its limits and the
+            range and places of its rotors are written.
         name: Of files and C functions; that of the task if not given.
         check: Run what was written on ``CHECKED`` random observations and compare it with torch.
 
@@ -72,6 +80,7 @@ def export_policy(
         if each not in FORMATS:
             raise ConfigError(f"format {each!r}: must be {', '.join(FORMATS)}")
     policy, cfg = load_policy(source)
+    cfg = replace(cfg, robot=robot or cfg.robot)
     with task_registry.make_task(
         cfg.task, num_envs=1, robot=cfg.robot, controller=cfg.controller, encoder=cfg.encoder
     ) as task:

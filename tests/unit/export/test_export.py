@@ -15,7 +15,8 @@ from aerial_gym.export.layout import Layout, layout_of
 from aerial_gym.export.module import FlownPolicy
 from aerial_gym.export.pilot import load_exported
 from aerial_gym.rl_training.evaluate import evaluate
-from aerial_gym.task import ACTIONS
+from aerial_gym.robots import ROBOTS
+from aerial_gym.task import ACTIONS, task_registry
 from tests.unit.export.policies import HOVER, drawn_policy, hover, hovering_policy, layout, training
 from tests.unit.task.hover import built
 
@@ -155,6 +156,24 @@ def test_observations_are_taken_in_their_own_units(tmp_path: Path) -> None:
     torch.testing.assert_close(command, policy({"observations": scaled}))
     made.write(tmp_path)
     assert Layout.read(tmp_path) == replace(made, params=dict(made.params))
+
+
+def test_a_policy_of_many_vehicles_is_written_for_one_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The end of its range is that of the rotors of this robot, and a hexarotor is told six of them by four actions."""
+    with task_registry.make_task("any_quadrotor_task", num_envs=1, device="cpu") as task:
+        (width,) = task.observation_space["observations"].shape
+    policy, cfg = drawn_policy(width), replace(training(), task="any_quadrotor_task", controller=None)
+    policy.head.bias.data = torch.full((4,), 100.0)  # all as fast as they can
+    monkeypatch.setattr("aerial_gym.export.export.load_policy", lambda source: (policy, cfg))
+    for robot, rotors in (("x500", 4), ("typhoon_hexarotor", 6)):
+        (found,) = export_policy("nowhere", tmp_path / robot, ["torchscript"], robot=robot, check=False)
+        made = Layout.read(tmp_path / robot)
+        assert made.robot == robot
+        assert len(made.command) == rotors
+        command, _, _ = load_exported(found.file).step(torch.zeros(1, width), torch.zeros(1, 0))
+        fastest = ROBOTS.get(robot).rotor.speed_at(ROBOTS.get(robot).rotor.thrust_range[1])
+        assert command.max() == pytest.approx(fastest, rel=1e-5)
+        assert command.min() > 0.99 * fastest  # without torque not all of a hexarotor are equal
 
 
 def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
