@@ -18,8 +18,8 @@ def main(out: Path, seconds: float) -> None:
     """Train, evaluate, export."""
     cfg = load_settings(settings_for("ppo", TASK))
     train(replace(cfg, task=TASK, seed=16, max_time_s=seconds), out)
-    policy, _ = load_policy(out)
     with task_registry.make_task(TASK, num_envs=256, seed=1_000_003) as task:
+        policy, _ = load_policy(out, device=task.device)
         found = evaluate(policy, task)
     error = found.final_error_mean_m
     print(

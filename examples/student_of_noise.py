@@ -37,8 +37,8 @@ def main(out: Path, seconds: float) -> None:
         given = {"task": name, "teacher": str(out / "teacher"), "max_time_s": seconds, "seed": 1}
         train(replace(settings, distill=seen, **given), out / student)
     for run in ("teacher", "student", "forgetful"):
-        policy, _ = load_policy(out / run)
         with task_registry.make_task(name, num_envs=512, seed=1_000_003) as task:
+            policy, _ = load_policy(out / run, device=task.device)
             found = evaluate(policy, task)
         error = found.final_error_mean_m
         print(f"{run}: {found.crash_rate:.1%} crash, the others end {error or float('nan'):.3f} m beside the target")

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from math import inf
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
+from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training.policies.policy import Pilot
 from aerial_gym.task import Task
 from aerial_gym.task.step.judge import GATE_PASSED
@@ -89,7 +90,13 @@ def evaluate(
         task: Where to fly; its seed decides the starts.
         success_radius: Distance that counts as there [m]; the task's own, or ``SUCCESS_RADIUS_M``, if not given.
         on_step: Called with the number of the step and of all steps.
+
+    Raises:
+        ConfigError: If the policy is on another device than the task.
     """
+    where = next(policy.parameters()).device if isinstance(policy, nn.Module) else task.device
+    if where != task.device:
+        raise ConfigError(f"policy: is on {where}, the task on {task.device}. Use load_policy(..., device=task.device)")
     steps, dt = task.cfg.episode_len_steps, task.env.dt
     final_steps = min(steps, max(1, round(FINAL_SPAN_S / dt)))
     ends_count = success_radius is None and task.cfg.tells_success

@@ -195,6 +195,11 @@ def test_a_task_without_a_target_has_returns_alone() -> None:
     assert found.return_mean == pytest.approx((3 * 6 + 2) / 4)
 
 
+def test_a_policy_on_another_device_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"is on meta, the task on cpu. Use load_policy\(..., device=task.device\)"):
+        evaluate(torch.nn.Linear(2, 1, device="meta"), ScriptedTask())  # type: ignore[arg-type]
+
+
 def test_a_policy_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="holds no checkpoint"):
         load_policy(tmp_path)
