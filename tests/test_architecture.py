@@ -129,3 +129,11 @@ def test_every_name_of_a_package_is_there() -> None:
             if "exports(" in init.read_text():
                 assert not (init.parent / f"{name}.py").exists(), f"{package.__name__}.{name} would be the module"
             getattr(package, name)
+
+
+@pytest.mark.parametrize("path", sorted(ROOT.rglob("*.py")), ids=lambda p: str(p.relative_to(ROOT)))
+def test_every_launch_says_where(path: Path) -> None:
+    """Without a device Warp takes the first GPU there is, and reads what lies elsewhere."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call) and ast.unparse(node.func) in ("wp.launch", "wp.launch_tiled"):
+            assert "device" in {keyword.arg for keyword in node.keywords}, f"{path}:{node.lineno}"

@@ -139,7 +139,13 @@ class BetweenLinks:
         if found:
             gap = wp.zeros(len(found), dtype=wp.float32, device=self._place)
             pairs = wp.array(found, dtype=wp.int32, device=self._place, ndim=2)
-            wp.launch(_in_reference, dim=len(found), inputs=[self._table.array, body, pairs], outputs=[gap])
+            wp.launch(
+                _in_reference,
+                dim=len(found),
+                inputs=[self._table.array, body, pairs],
+                outputs=[gap],
+                device=self._place,
+            )
             found = [pair for pair, apart in zip(found, gap.numpy().tolist(), strict=True) if apart > 0.0]
         if not found:
             raise ConfigError(
