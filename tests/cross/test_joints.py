@@ -160,7 +160,7 @@ AS_USERS_HAVE_IT = "everything, late"
 """The one whose kernel is optimised."""
 
 
-LIKE_OTHERS = ("morphy on a stand", "snake", "snake of five, position", "law with memory")
+LIKE_OTHERS = ("morphy on a stand", "snake of five, position", "snake of six, effort", "law with memory")
 """Their parts are those of the other cases."""
 
 

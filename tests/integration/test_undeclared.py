@@ -65,9 +65,10 @@ def test_the_hidden_effect_is_named_and_measured(effect: str, tmp_path: Path) ->
                 assert entry["rms"] < 2.0 * entry["noise_floor"], (kind, axis)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rate_hz", "duration_s"),
-    [(50, 6.0), pytest.param(400, 3.0, marks=pytest.mark.slow), pytest.param(25, 16.0, marks=pytest.mark.slow)],
+    [(50, 6.0), (400, 3.0), (25, 16.0)],
 )
 def test_an_effect_is_named_from_short_and_from_slow_logs(rate_hz: int, duration_s: float, tmp_path: Path) -> None:
     flights = {"rate_hz": rate_hz, "duration_s": duration_s, "num_train": 2}

@@ -38,6 +38,7 @@ def test_a_student_of_noisy_sensors_learns_from_its_teacher(
     assert all(f"{run}: " in told for run in ("teacher", "student", "forgetful"))
 
 
+@pytest.mark.slow
 def test_a_drawn_flight_ends_where_its_episode_does() -> None:
     """At full thrust a vehicle leaves the arena, 2.5 m high, within two seconds; after that there are no places."""
     flights = runpy.run_path(str(EXAMPLES / "race_picture.py"))["flights"]
@@ -71,6 +72,7 @@ def told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) ->
     return run
 
 
+@pytest.mark.slow
 def test_a_law_holds_a_point_by_body_rates_and_by_rotor_thrusts(told: Told) -> None:
     """A thrown vehicle starts in any attitude: a wrong axis or angle loses it."""
     caught = told("hold.py", 64, "recovery_task", "position_setpoint_task_sim2real_px4")

@@ -55,6 +55,7 @@ def start_two(act: str, out: Path, *, ports: int) -> list[tuple[int, str]]:
             each.kill()
 
 
+@pytest.mark.slow
 def test_two_processes_are_equal_bit_for_bit_and_learn_as_one(tmp_path: Path) -> None:
     """As one that flies the environments of both: but for the order of sums, which grows with every update of a flight.
 

@@ -321,6 +321,7 @@ def let_go(dt: float, num_steps: int) -> Tensor:
     return torch.stack(seen)
 
 
+@pytest.mark.slow
 def test_an_arm_that_creeps_is_the_generalised_maxwell_model() -> None:
     """Against the modes of the linear law by which ``identify joint`` fits records; the error of 0.3 s halves with the step."""
     inertia = 0.01625 * 0.07**2

@@ -31,6 +31,7 @@ def task() -> Task:
     return made
 
 
+@pytest.mark.slow
 def test_it_is_the_lidar_task_but_for_what_it_says() -> None:
     *state, cells = CFG.observations["policy"]
     unseen = CFG.rewards["unseen"]
