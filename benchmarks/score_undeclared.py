@@ -29,7 +29,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from benchmarks.undeclared import EFFECTS, SIZES, UNKNOWN, make_case
+from benchmarks.undeclared import EFFECTS, SIZES, TRACKED, UNKNOWN, make_case
 from benchmarks.undeclared_table import markdown, right_line
 
 CLASSIC = tuple(EFFECTS)[:6]
@@ -71,6 +71,7 @@ class Job:
     size: str
     seed: int
     nuisance: bool
+    tracked: bool
     features: tuple[str, ...] = ()
     """Of the flights, beside those that the effects need."""
 
@@ -101,7 +102,7 @@ def score(job: Job) -> dict[str, object]:
                 folder / "case",
                 effects=dict.fromkeys(job.hidden, job.size),
                 seed=job.seed,
-                nuisance=job.nuisance,
+                nuisance=TRACKED if job.tracked else job.nuisance,
                 features=job.features,
                 num_train=job.num_train,
                 num_test=job.num_test,
@@ -214,7 +215,7 @@ def plan_jobs(args: argparse.Namespace) -> list[Job]:
     if missing := sorted({name for case in cases for name in case} - set(known)):
         raise ValueError(f"no effect {missing}. Known: all, {', '.join(known)}")
     flights = sorted({tuple(sorted({f for name in case for f in known[name].needs})) for case in cases} | {()})
-    base = {name: getattr(args, name) for name in ("nuisance", "num_train", "num_test", "duration_s")}
+    base = {name: getattr(args, name) for name in ("nuisance", "tracked", "num_train", "num_test", "duration_s")}
     jobs = []
     for seed in args.seeds:
         jobs += [Job(hidden=(), size="moderate", seed=seed, features=f, **base) for f in flights]
@@ -269,6 +270,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--pairs", nargs="+", default=[], metavar="A+B", help="two effects at once")
     parser.add_argument("--unknown", action="store_true", help="also causes outside the package")
     parser.add_argument("--nuisance", action="store_true", help="small errors everywhere, as real vehicles have")
+    parser.add_argument(
+        "--tracked", action="store_true", help="these, markers that are aligned by eye, a bias of each flight's own"
+    )
     parser.add_argument("--hover", action="store_true", help="also cases whose training flights only hover")
     parser.add_argument("--controls", action="store_true", help="only the controls of these cases")
     parser.add_argument("--num-train", type=int, default=4)

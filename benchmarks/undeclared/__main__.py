@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from benchmarks.undeclared import EFFECTS, FEATURES, SIZES, UNKNOWN, Failure, make_case
+from benchmarks.undeclared import EFFECTS, FEATURES, SIZES, TRACKED, UNKNOWN, Failure, make_case
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -41,6 +41,7 @@ def _parser() -> argparse.ArgumentParser:
         help="in flight, e.g. test_1:motor_failure:motor=2,scale=0.7,time=5; may repeat",
     )
     parser.add_argument("--nuisance", action="store_true", help="make mass, rotors, inertia and sensors slightly off")
+    parser.add_argument("--tracked", action="store_true", help="and markers and, flight by flight, the accelerometer")
     return parser
 
 
@@ -85,7 +86,7 @@ def main(argv: list[str] | None = None) -> int:
             num_train=args.num_train,
             num_test=args.num_test,
             duration_s=args.duration_s,
-            nuisance=args.nuisance,
+            nuisance=TRACKED if args.tracked else args.nuisance,
             rate_hz=args.rate_hz,
             features=args.feature,
             failures=_failing(args.failure),

@@ -191,7 +191,7 @@ def fly_case(
     num_train: int = 4,
     num_test: int = 3,
     duration_s: float = 16.0,
-    nuisance: bool = False,
+    nuisance: bool | Nuisance = False,
     noise: Noise | None = None,
     features: Sequence[str] = (),
     failures: Mapping[str, Failure] | None = None,
@@ -201,7 +201,8 @@ def fly_case(
     declared, true = hidden_effects.split(DECLARED, params)
     bias = NO_BIAS
     if nuisance:
-        true, bias = disturb(true, Nuisance(), seed=seed, hidden=params)
+        sizes = nuisance if isinstance(nuisance, Nuisance) else Nuisance()
+        true, bias = disturb(true, sizes, seed=seed, hidden=params, num_flights=num_train + num_test)
     features = hidden_effects.features_of(effects, features)
     flights, failures = flights_of(num_train, num_test, features), failures or {}
     if unknown := set(failures) - {flight.name for flight in flights}:
@@ -237,7 +238,7 @@ def make_case(
     num_train: int = 4,
     num_test: int = 3,
     duration_s: float = 16.0,
-    nuisance: bool = False,
+    nuisance: bool | Nuisance = False,
     rate_hz: int = CONTROL_RATE,
     noise: Noise | None = None,
     features: Sequence[str] = (),
@@ -254,7 +255,7 @@ def make_case(
         num_train: Training flights.
         num_test: Test flights.
         duration_s: Length of each log [s].
-        nuisance: Whether mass, rotors, inertia, lag, centre of mass and sensors are slightly off.
+        nuisance: Whether mass, rotors, inertia, lag, centre of mass and sensors are slightly off, or by how much.
         rate_hz: Rate of the logs [Hz], a divisor of 400.
         noise: Sensor noise; None takes the defaults.
         features: Of the flights (``catalog.FEATURES``), beside those that the effects need; for controls.
@@ -303,7 +304,7 @@ def _truth(
     sizes: dict[str, str],
     seed: int,
     noise: Noise,
-    nuisance: bool,
+    nuisance: bool | Nuisance,
     rate_hz: int,
 ) -> dict[str, object]:
     """Return all that is hidden as plain data."""
@@ -316,8 +317,8 @@ def _truth(
         "sizes": sizes,
         "seed": seed,
         "noise": asdict(noise),
-        "nuisance": asdict(Nuisance()) if nuisance else None,
-        "bias": {"acc": case.bias.acc.tolist(), "gyro": case.bias.gyro.tolist()},
+        "nuisance": asdict(nuisance if isinstance(nuisance, Nuisance) else Nuisance()) if nuisance else None,
+        "bias": {name: numbers.tolist() for name, numbers in vars(case.bias).items()},
         "true_vehicle": vehicle_document(case.true),
         "declared_vehicle": vehicle_document(case.declared),
         "rates_hz": {"log": rate_hz, "autopilot": CONTROL_RATE, "plant": CONTROL_RATE * SUBSTEPS},

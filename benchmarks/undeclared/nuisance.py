@@ -33,26 +33,41 @@ class Nuisance:
     gyro_bias: float = 0.002
     """Each axis [rad/s]."""
 
+    attitude: float = 0.0
+    """Turn of the logged attitude against the body, each axis [rad]."""
+
+    acc_of_flight: float = 0.0
+    """Accelerometer, each axis, beside its bias, anew for each flight [m/s²]."""
+
+
+TRACKED = Nuisance(attitude=0.01, acc_of_flight=0.05)
+"""As logs of a motion-capture room have it beside: markers that are aligned by eye, an accelerometer that warms up."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Bias:
-    """Constant sensor errors of the whole case, body frame."""
+    """Constant sensor errors, body frame."""
 
     acc: Array
-    """Accelerometer [m/s²], (3,)."""
+    """Accelerometer [m/s²], (3,) of the whole case or (F, 3) of each flight."""
 
     gyro: Array
     """Gyro [rad/s], (3,)."""
 
+    attitude: Array
+    """Rotation vector that turns the axes of the logged attitude into those of the body [rad], (3,)."""
 
-NO_BIAS = Bias(acc=np.zeros(3), gyro=np.zeros(3))
+
+NO_BIAS = Bias(acc=np.zeros(3), gyro=np.zeros(3), attitude=np.zeros(3))
 
 
 STATED_LAG = ("motor_time_constant", "motor_asymmetry")
 """Hidden effects that state the lag itself, in place of the declared one."""
 
 
-def disturb(true: Vehicle, cfg: Nuisance, *, seed: int, hidden: Container[str] = ()) -> tuple[Vehicle, Bias]:
+def disturb(
+    true: Vehicle, cfg: Nuisance, *, seed: int, hidden: Container[str] = (), num_flights: int = 1
+) -> tuple[Vehicle, Bias]:
     """Return the vehicle with small errors beside what is hidden, and the sensor biases.
 
     What a case states of its hidden effects is without them, as a scale or a bench would find it on a perfectly declared
@@ -61,12 +76,15 @@ def disturb(true: Vehicle, cfg: Nuisance, *, seed: int, hidden: Container[str] =
     """
     rng = np.random.default_rng([seed, 2])
 
-    def draw(std: float, count: int) -> Array:
-        return std * np.clip(rng.standard_normal(count), -2.0, 2.0)
+    def draw(std: float, *shape: int) -> Array:
+        return std * np.clip(rng.standard_normal(shape), -2.0, 2.0)
 
     mass, coeff, inertia = draw(cfg.mass, 1), draw(cfg.thrust_coeff, 4), draw(cfg.inertia, 3)
     tau, com = draw(cfg.tau, 1), draw(cfg.com, 3)
-    bias = Bias(acc=draw(cfg.acc_bias, 3), gyro=draw(cfg.gyro_bias, 3))
+    acc, gyro, attitude = draw(cfg.acc_bias, 3), draw(cfg.gyro_bias, 3), draw(cfg.attitude, 3)
+    if cfg.acc_of_flight:
+        acc = acc + draw(cfg.acc_of_flight, num_flights, 3)
+    bias = Bias(acc=acc, gyro=gyro, attitude=attitude)
     stretch = np.sqrt(1.0 + inertia)
     factor = 1.0 if any(name in hidden for name in STATED_LAG) else 1.0 + float(tau[0])
     vehicle = replace(

@@ -4,7 +4,7 @@ The autopilot flies on the same noisy samples that are logged, so that command a
 vehicle. Letters: F flights, T samples.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -52,7 +52,7 @@ class Sample:
     """Of the body origin [m/s], world, (F, 3)."""
 
     rotation: Array
-    """Body to world, (F, 3, 3)."""
+    """Tracked axes, those of the body but for how they are aligned, to world, (F, 3, 3)."""
 
     rate: Array
     """Angular velocity [rad/s], IMU axes, (F, 3)."""
@@ -76,7 +76,8 @@ class Sensors:
         *,
         extra: Extra = NEUTRAL,
     ) -> None:
-        self._bias = Bias(acc=bias.acc + extra.imu_bias[:3], gyro=bias.gyro + extra.imu_bias[3:])
+        self._bias = replace(bias, acc=bias.acc + extra.imu_bias[:3], gyro=bias.gyro + extra.imu_bias[3:])
+        self._aligned = Rotation.from_rotvec(bias.attitude).as_matrix()
         self._turn = Rotation.from_euler("xyz", extra.imu_turn).as_matrix() if any(extra.imu_turn) else None
         self._rotor_reading = extra.rotor_reading
         scale = (noise.position, noise.velocity, noise.attitude, noise.gyro, noise.acc)
@@ -91,7 +92,7 @@ class Sensors:
         return Sample(
             position=plant.origin_position(state) + draw[:, 0:3],
             velocity=plant.origin_velocity(state) + draw[:, 3:6],
-            rotation=rotation(state) @ (np.eye(3) + hat(draw[:, 6:9])),
+            rotation=rotation(state) @ (np.eye(3) + hat(draw[:, 6:9])) @ self._aligned,
             rate=rate + draw[:, 9:12] + self._bias.gyro,
             acc=acc + draw[:, 12:15] + self._bias.acc,
             rotor=self._rotor_reading * state[:, ROTOR] * (1.0 + draw[:, 15:19]),

@@ -15,7 +15,7 @@ from benchmarks.undeclared.cases import flights_of, plan_all
 from benchmarks.undeclared.dynamics import POS, RATE, ROTOR, VEL, Plant, rest_state, rotation
 from benchmarks.undeclared.effects import resolve, split
 from benchmarks.undeclared.logs import COLUMNS
-from benchmarks.undeclared.nuisance import NO_BIAS, Nuisance, disturb
+from benchmarks.undeclared.nuisance import NO_BIAS, TRACKED, Nuisance, disturb
 from benchmarks.undeclared.sensors import NOISELESS, Noise, Sensors
 from benchmarks.undeclared.simulate import CONTROL_RATE, fly, summarise
 from benchmarks.undeclared.vehicle import DECLARED, GRAVITY, Array, Vehicle
@@ -269,6 +269,31 @@ def test_sensor_noise_has_the_stated_size() -> None:
     assert ratio.std() == pytest.approx(noise.rotor, **close)
     delta = np.stack([exact.rotation.transpose(0, 2, 1) @ s.rotation for s in samples])
     assert delta[:, :, 2, 1].std() == pytest.approx(noise.attitude, rel=0.06)
+
+
+def test_tracked_logs_have_turned_axes_and_an_accelerometer_that_differs_between_flights() -> None:
+    """One rotation for all flights, a bias for each beside the common one, and the other errors as without them."""
+    plain, aligned = disturb(DECLARED, Nuisance(), seed=5)
+    vehicle, bias = disturb(DECLARED, TRACKED, seed=5, num_flights=3)
+    assert (vehicle.mass, vehicle.tau_up) == (plain.mass, plain.tau_up)
+    np.testing.assert_array_equal(bias.gyro, aligned.gyro)
+    assert bias.acc.shape == (3, 3)
+    assert np.all(np.ptp(bias.acc, axis=0) > 0.0)
+    assert np.all(np.abs(bias.acc - aligned.acc) <= 2.0 * TRACKED.acc_of_flight)
+    assert 0.0 < np.abs(bias.attitude).max() <= 2.0 * TRACKED.attitude
+
+    state = np.repeat(tumbling(), 3, axis=0)
+    as_body, as_tracked = (
+        Sensors(NOISELESS, one, [np.random.default_rng(k) for k in range(3)], 1).sample(0, Plant(vehicle), state)
+        for one in (NO_BIAS, bias)
+    )
+    np.testing.assert_allclose(as_tracked.acc - as_body.acc, bias.acc, atol=1e-12)
+    turn = as_body.rotation.transpose(0, 2, 1) @ as_tracked.rotation
+    np.testing.assert_allclose(turn, np.tile(turn[:1], (3, 1, 1)), atol=1e-12)
+    vector = 0.5 * np.array(
+        [turn[0, 2, 1] - turn[0, 1, 2], turn[0, 0, 2] - turn[0, 2, 0], turn[0, 1, 0] - turn[0, 0, 1]]
+    )
+    np.testing.assert_allclose(vector, bias.attitude, rtol=1e-3)  # sin of an angle of 0.02
 
 
 def test_nuisance_is_small_and_adds_to_what_is_hidden() -> None:
