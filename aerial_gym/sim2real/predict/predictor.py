@@ -45,6 +45,7 @@ from aerial_gym.sim2real.predict.tolerances import (
     deviated,
     rotor_motion,
     sensor_biases,
+    turned,
 )
 
 Array = NDArray[np.float64]
@@ -151,7 +152,7 @@ class Predictor:
         biases = () if point.deviation is None else sensor_biases(self.tolerances, torch.from_numpy(point.deviation))
         sensors = [(place, bias.numpy().tobytes()) for place, bias in enumerate(biases) if bias.any()]
         numbers = [rows.numpy().tobytes() for rows in vehicle.rows().values()]
-        for place, of in enumerate((rotor_motion, answered_noise), len(biases)):
+        for place, of in enumerate((rotor_motion, answered_noise, turned), len(biases)):
             if point.deviation is not None and (noise := of(torch.from_numpy(point.deviation))).any():
                 sensors.append((place, noise.numpy().tobytes()))
         others_key = key_of(ModelParams(effects=others))

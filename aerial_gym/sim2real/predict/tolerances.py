@@ -7,7 +7,7 @@ sizes come from each log. Letters: E environments, R rotors, N tolerances.
 """
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import torch
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from aerial_gym.config.robot import require_positive
+from aerial_gym.math.quaternion import quat_from_euler, quat_to_matrix
 from aerial_gym.physics import Vehicle
 
 STRAINED = 3.0
@@ -46,6 +47,15 @@ class Tolerances:
     gyro_bias: float = 0.002
     """Each axis [rad/s]."""
 
+    acc_of_flight: float = 0.1
+    """Accelerometer, each axis, anew in each flight, at most [m/s²]: it warms up by some 10 mg."""
+
+    attitude: float = 0.01
+    """Turn of the logged attitude against the body, about each axis [rad]: markers are aligned by eye, autopilots by a level.
+
+    It turns what attitude and velocity say of forces and rates; by how little airspeed is seen from other axes is let be.
+    """
+
     nominal_voltage: float = 0.003
     """Relative: reading a voltmeter where rotors reach the commanded speeds."""
 
@@ -56,15 +66,13 @@ class Tolerances:
     """How far soft arms are from rest when a log begins, as a share of the angle at which they rest in hover."""
 
     def __post_init__(self) -> None:
-        names = ("mass", "thrust", "inertia", "time_constant", "com", "acc_bias", "gyro_bias", "nominal_voltage")
-        require_positive(self, *names, "command_hold", "joint_rest")
+        require_positive(self, *(field.name for field in fields(self)))
 
     def names(self, num_rotors: int) -> tuple[str, ...]:
         """Return the names of the N tolerances, in the order of ``Deviation``."""
         rotors = [f"{name}_{number}" for name in ("thrust", "rotor_motion") for number in range(1, num_rotors + 1)]
-        axes = [
-            f"{name}_{axis}" for name in ("inertia", "com", "acc_bias", "gyro_bias", "answered_noise") for axis in "xyz"
-        ]
+        of_axes = ("inertia", "com", "acc_bias", "gyro_bias", "answered_noise", "attitude")
+        axes = [f"{name}_{axis}" for name in of_axes for axis in "xyz"]
         return ("mass", *rotors, *axes, "time_constant", "nominal_voltage", "command_hold", "joint_rest")
 
     def strained(
@@ -98,6 +106,8 @@ class Tolerances:
         known = "give the tolerance that it has (--tolerances)"
         if name.startswith(("acc_bias", "gyro_bias")):
             return f"calibrate it, or {known}"
+        if name.startswith("attitude"):
+            return f"align the logged attitude with the body, or {known}"
         if name.startswith("rotor_motion"):
             return "the noise of the logged rotor speeds hides how much they moved; log commands, or fly more"
         if name.startswith("answered_noise"):
@@ -115,7 +125,7 @@ def deviate(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehi
         tolerances: Their sizes.
         deviation: In standard deviations, (N,), in the order of ``Tolerances.names``.
     """
-    mass, rotors, _, inertia, com, _, _, _, lag, voltage, _, _ = _parts(deviation)
+    mass, rotors, _, inertia, com, _, _, _, _, lag, voltage, _, _ = _parts(deviation)
     factor = (1.0 + tolerances.thrust * rotors).unsqueeze(0)
     stretch = (1.0 + tolerances.inertia * inertia).clamp_min(0.01).sqrt()
     slower = 1.0 + tolerances.time_constant * lag
@@ -160,7 +170,7 @@ def deviated(declared: Vehicle, tolerances: Tolerances, deviation: NDArray[np.fl
 
 def sensor_biases(tolerances: Tolerances, deviation: Tensor) -> tuple[Tensor, Tensor]:
     """Return the biases of accelerometer [m/s²] and gyro [rad/s], body, each (3,)."""
-    *_, acc, gyro, _, _, _, _, _ = _parts(deviation)
+    *_, acc, gyro, _, _, _, _, _, _ = _parts(deviation)
     return tolerances.acc_bias * acc, tolerances.gyro_bias * gyro
 
 
@@ -184,8 +194,18 @@ def answered_noise(deviation: Tensor) -> Tensor:
     return _parts(deviation)[7]
 
 
+def attitude_turn(tolerances: Tolerances, deviation: Tensor) -> Tensor:
+    """Return the matrix that turns the axes of the logged attitude into those of the body, (3, 3)."""
+    return quat_to_matrix(quat_from_euler(tolerances.attitude * turned(deviation)))
+
+
+def turned(deviation: Tensor) -> Tensor:
+    """Return how far the logged attitude is turned about each axis, in standard deviations, (3,)."""
+    return _parts(deviation)[8]
+
+
 def _parts(deviation: Tensor) -> tuple[Tensor, ...]:
-    """Return the deviations of mass, thrust, rotor motion, inertia, com, biases, answered noise and of each of the others."""
-    others = [3, 3, 3, 3, 3, 1, 1, 1, 1]
+    """Return the deviations of mass, thrust, rotor motion, inertia, com, biases, noise, attitude and each of the others."""
+    others = [3, 3, 3, 3, 3, 3, 1, 1, 1, 1]
     rotors = (deviation.numel() - 1 - sum(others)) // 2
     return torch.split(deviation, [1, rotors, rotors, *others])

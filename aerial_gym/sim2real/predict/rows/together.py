@@ -59,11 +59,13 @@ from aerial_gym.sim2real.predict.rows.in_band import InBand, columns_of
 from aerial_gym.sim2real.predict.tolerances import (
     Tolerances,
     answered_noise,
+    attitude_turn,
     command_shift,
     deviate,
     joint_start,
     rotor_motion,
     sensor_biases,
+    turned,
 )
 
 Array = NDArray[np.float64]
@@ -193,10 +195,13 @@ class Together:
             force, torque = torch.where(felt, of_force.of(force), force), times(torque, of_rate.turn)
         if (share := answered_noise(deviation)).any():
             torque = torque + share * self._seeming()
+        turn = attitude_turn(self.tolerances, deviation) if turned(deviation).any() else None
+        if turn is not None:  # where there is no accelerometer, the force is derived in the axes of the logged attitude
+            force = torch.where(felt, force, times(force, turn))
         return {
             "specific_force": columns_of(force + force_bias * felt),
             "angular_acceleration": columns_of(torque),  # a constant error has no derivative
-            **self._read_of_kinematics(model, force_bias, rate_bias),
+            **self._read_of_kinematics(model, force_bias, rate_bias, turn),
         }
 
     def _seeming(self) -> Tensor:
@@ -210,13 +215,17 @@ class Together:
             self._in_step = torch.from_numpy(np.concatenate(parts))
         return self._in_step
 
-    def _read_of_kinematics(self, model: Model, force_bias: Tensor, rate_bias: Tensor) -> dict[str, Columns]:
+    def _read_of_kinematics(
+        self, model: Model, force_bias: Tensor, rate_bias: Tensor, turn: Tensor | None
+    ) -> dict[str, Columns]:
         """Return what the sensors read of what kinematics imply: the same for all models whose sensors err alike."""
-        errs = model.effects[ImuEffect]
-        numbers = torch.cat((force_bias, rate_bias, *(params[0] for _, params in errs))).numpy().tobytes()
+        errs, turns = model.effects[ImuEffect], () if turn is None else (turn.flatten(),)
+        numbers = torch.cat((force_bias, rate_bias, *turns, *(params[0] for _, params in errs))).numpy().tobytes()
         key = (numbers, *(effect.name for effect, _ in errs))
         if key not in self._kinematics:
             force, rate = self.data.kinematic_force, self.data.kinematic_rate
+            if turn is not None:
+                force, rate = times(force, turn.T), times(rate, turn.T)
             if errs:
                 of_force, of_rate = imu_of(model)
                 force, rate = of_force.of(force), of_rate.of(rate)

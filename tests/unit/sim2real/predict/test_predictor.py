@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
 from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
@@ -400,6 +401,33 @@ def test_a_gyro_that_is_off_within_its_tolerance_shows_in_the_kinematic_rate_alo
     for place, channel in enumerate(predictor.channels):
         expected = 0.006 if channel.name == "kinematic_rate.z" else 0.0
         np.testing.assert_allclose(moved[:, place], expected, atol=1e-12, err_msg=channel.name)
+
+
+@pytest.mark.parametrize("accelerometer", [True, False])
+def test_an_attitude_that_is_off_within_its_tolerance_is_turned_back(tmp_path: Path, accelerometer: bool) -> None:
+    """A log whose attitude is turned against the body by 2 and -1 tolerances leaves what the aligned one does, in its axes.
+
+    But for the drag of an airspeed that is seen from other axes: the flight has none.
+    """
+    table = flight(3) if accelerometer else flight(3).drop(columns=["acc_x", "acc_y", "acc_z"])
+    turn = Rotation.from_euler("xyz", [0.0, 0.02, -0.01])  # log to body axes
+    logged = table.copy()
+    columns = ["q_x", "q_y", "q_z", "q_w"]
+    logged[columns] = (Rotation.from_quat(table[columns].to_numpy()) * turn).as_quat()
+    aligned, off = (
+        complete_flight(uniform_log(read_flight_log(write(one, tmp_path / f"{name}.csv"))))
+        for name, one in (("aligned", table), ("off", logged))
+    )
+    deviation = np.zeros(len(names := Tolerances().names(4)))
+    deviation[names.index("attitude_y")], deviation[names.index("attitude_z")] = 2.0, -1.0
+    left, channels = residual(aligned, ModelParams()), find_channels([aligned])
+    plain, turned_back = residual(off, ModelParams()), residual(off, ModelParams(deviation=deviation))
+    kinds = [channel.kind for channel in channels]
+    kind = "kinematic_force" if accelerometer else "specific_force"
+    places = [place for place, name in enumerate(kinds) if name == kind]
+    as_seen = left[:, places] if accelerometer else turn.apply(left[:, places], inverse=True)
+    assert np.abs(plain[:, places[0]] - as_seen[:, 0]).mean() == pytest.approx(0.02 * 9.81, rel=0.1)
+    np.testing.assert_allclose(turned_back[:, places], as_seen, atol=2e-3)
 
 
 def test_the_noise_floor_is_the_residual_of_a_perfect_model(tmp_path: Path) -> None:
