@@ -191,8 +191,10 @@ def judge(predictor: Predictor, selection: Selection, found: Linear, windows: Wi
     one, left_out, effects = selection.final, selection.left_out, found.fit.effects
     point, own = replace(found.fit.point, deviation=None), found.fit.num_effect_params
     predicted = predictor.predict(point)
-    tolerance = tolerance_jacobian(predictor, point, predicted)
-    fit = replace(linearise(predictor, effects, point, tolerance, base=predicted)[0], frozen=one.fit.frozen)
+    tolerance, offsets = tolerance_jacobian(predictor, point, predicted), selection.own_offsets
+    fit = replace(
+        linearise(predictor, effects, point, tolerance, base=predicted, offsets=offsets)[0], frozen=one.fit.frozen
+    )
     deviation = found.fit.point.deviation
     assert deviation is not None
     ahead = (params_of(one.fit.point, effects) - params_of(point, effects)) / scales(effects)

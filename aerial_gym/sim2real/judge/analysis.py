@@ -29,7 +29,8 @@ from aerial_gym.sim2real.judge.random_wind.gusts import NAME, declared_wind, wit
 from aerial_gym.sim2real.judge.unexplained import Unexplained, find_unexplained, judges_forces
 from aerial_gym.sim2real.judge.verdict import NamedEffect, Verdict, decide, immaterial, named_effects
 from aerial_gym.sim2real.judge.whiteness import whiteness
-from aerial_gym.sim2real.logs.flights import notes_of, rigid_notes
+from aerial_gym.sim2real.logs.flights import Flight, notes_of, rigid_notes
+from aerial_gym.sim2real.predict.channels import UNITS
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.noise_floor import floor_of_flight, of_all_flights
 from aerial_gym.sim2real.progress import Progress
@@ -192,6 +193,7 @@ def notes(refitted: Refitted, unexplained: Unexplained, effects: Sequence[NamedE
             unexplained.deviation, absent=absent_tolerances(declared, refitted.params), farthest=FARTHEST_DEVIATION
         ),
         *surrogate_notes(refitted.selection),
+        *own_notes(refitted.selection),
         *about_logs(declared),
     )
 
@@ -209,8 +211,25 @@ def absent_tolerances(declared: Declared, params: ModelParams) -> set[str]:
         "command_hold": any(flight.rotor_command is not None for flight in flights),
         **{f"acc_bias_{axis}": any(flight.accelerometer for flight in flights) for axis in "xyz"},
         **{f"gyro_bias_{axis}": any(flight.gyro for flight in flights) for axis in "xyz"},
+        **{f"attitude_{axis}": any(map(implies_force, flights)) for axis in "xyz"},
     }
     return {name for name, present in has.items() if not present}
+
+
+def implies_force(flight: Flight) -> bool:
+    """Return whether attitude and velocity of a flight say what an accelerometer reads."""
+    return flight.lin_vel is not None and not flight.attitude_integrated
+
+
+def own_notes(selection: Selection) -> list[str]:
+    """Return a note on what differs from flight to flight, and so belongs to no vehicle."""
+    own = [f"{one.channel} {one.size:.2g} {UNITS[one.channel.split('.')[0]]}" for one in selection.chosen.best.own]
+    if not own:
+        return []
+    return [
+        f"each flight has an offset of its own in {', '.join(own)} (rms): a sensor that warms up, a battery that is put in "
+        "anew; no vehicle has that, effects are fitted beside it, and test flights may have another one as large"
+    ]
 
 
 def about_logs(declared: Declared) -> list[str]:

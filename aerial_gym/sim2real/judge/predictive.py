@@ -38,8 +38,10 @@ PASSES = 3
 
 def left_open(
     test: Predictor, params: ModelParams, selection: Selection, fitted: NDArray[np.bool_] | None = None
-) -> Array:
+) -> tuple[Array, Array]:
     """Return the largest mean square of each channel that tolerances and named effects may leave on test flights, (C,).
+
+    And the same with the offsets of test flights, which are as large as training flights have them of their own.
 
     Larger ones have the probability ``Criteria.significance``. Parameters of named effects that training does not show have a
     standard deviation of their scale. Where training flights are predicted down to noise, parameters that scatter between
@@ -70,11 +72,27 @@ def left_open(
         wider[own] = np.maximum(1.0, std / np.sqrt(np.diag(covariance)[own]))
     columns = jacobian[:, :, chosen]
     mean_product = np.einsum("rck,rcl->ckl", columns, columns) / columns.shape[0]
-    by_noise, by_scatter = (
-        quantile_of_squares(mean_product, one, selection.criteria.significance)
-        for one in (covariance, covariance * np.outer(wider, wider))
-    )
-    return by_scatter if fitted is None else np.where(fitted, by_scatter, by_noise)
+    rows = np.array([time.size for time in test.times])
+    offsets = selection.own_offsets.size[:, None, None] ** 2 * np.diag(rows / rows.sum())
+    with_offsets = np.stack([beside(one, own) for one, own in zip(mean_product, offsets, strict=True)])
+
+    def limits(covariance: Array) -> tuple[Array, Array]:
+        both = beside(covariance, np.eye(rows.size))
+        return (
+            quantile_of_squares(mean_product, covariance, selection.criteria.significance),
+            quantile_of_squares(with_offsets, both, selection.criteria.significance),
+        )
+
+    by_scatter, by_noise = limits(covariance * np.outer(wider, wider)), limits(covariance)
+    if fitted is None:
+        return by_scatter
+    return np.where(fitted, by_scatter[0], by_noise[0]), np.where(fitted, by_scatter[1], by_noise[1])
+
+
+def beside(one: Array, other: Array) -> Array:
+    """Return two square matrices as one, with nothing between them."""
+    across = np.zeros((len(one), len(other)))
+    return np.block([[one, across], [across.T, other]])
 
 
 def quantile_of_squares(product: Array, covariance: Array, significance: float) -> Array:

@@ -89,16 +89,26 @@ def find_unexplained(
     flights = [*train.flights, *test.flights]
     within = with_best_deviations(params, selection.final.fit, selection.weights.weight)
     left, tolerated = test.residuals(within), selection.left_out.tolerated
-    rms = np.sqrt(np.mean(np.square(np.concatenate(left)), axis=0))
-    rms = np.minimum(rms, [channel.value for channel in after.residual])  # tolerances only ever explain
+    rms = np.minimum(rms_of(left), [channel.value for channel in after.residual])  # tolerances only ever explain
     judged = np.array([channel.kind not in not_judged(flights) for channel in test.channels])
     suspected = judged & material_excess(rms, floor, tolerated)
-    seen = train.residuals(within)
-    fitted = ~material_excess(np.sqrt(np.mean(np.square(np.concatenate(seen)), axis=0)), floor, tolerated)
-    limit = left_open(test, params, selection, fitted) if suspected.any() else np.zeros(rms.size)
+    seen, own = train.residuals(within), selection.own_offsets.size > 0.0
+
+    def about_offsets(parts: list[Array]) -> Array:
+        return rms_of([part - own * part.mean(axis=0) for part in parts])
+
+    fitted = ~material_excess(about_offsets(seen), floor, tolerated)
+    about = np.where(own, about_offsets(left), rms)
+    within_flights = whole = np.zeros(rms.size)
+    if suspected.any():
+        within_flights, whole = left_open(test, params, selection, fitted)
 
     def remains(floor: Array | None) -> NDArray[np.bool_]:
-        return suspected & material_excess(rms, floor, tolerated) & (excess_over(rms, floor) > limit)
+        cases = ((about, within_flights), (rms, whole))
+        return suspected & np.any(
+            [material_excess(rms, floor, tolerated) & (excess_over(rms, floor) > limit) for rms, limit in cases],
+            axis=0,
+        )
 
     remaining, wind = remains(floor), declared_wind(train.robot)
     if not wind.accepted:
@@ -129,6 +139,11 @@ def find_unexplained(
         wind=wind,
         structure=structure,
     )
+
+
+def rms_of(parts: Sequence[Array]) -> Array:
+    """Return the root of the mean square of each column of some parts (rows, C), (C,)."""
+    return np.sqrt(np.mean(np.square(np.concatenate(parts)), axis=0))
 
 
 def with_best_deviations(params: ModelParams, fit: Fit, weight: Array) -> ModelParams:

@@ -18,7 +18,7 @@ from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from tests.unit.sim2real.flat_flights import ROBOT
 
-PLACE = Nuisance(kind="position", channel="specific_force.x", columns=[])
+PLACE = Nuisance(kind="position", channel="specific_force.x", columns=[], size=1.0)
 
 
 def fitted(

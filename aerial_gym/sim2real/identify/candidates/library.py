@@ -64,6 +64,9 @@ class Candidate:
     structure: bool = False
     """Whether it is no effect but a structure that none has."""
 
+    of_flights: bool = False
+    """Whether it is a structure that is each flight's own."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Library:
@@ -159,6 +162,7 @@ def build_library(
                 low=-open_end,
                 high=open_end,
                 structure=True,
+                of_flights=structure.of_flights,
             )
         )
         derivatives.append(structure.columns)

@@ -24,12 +24,22 @@ from aerial_gym.sim2real.identify.candidates.structure import (
     rows_of,
 )
 from aerial_gym.sim2real.identify.least_squares.derivatives import single
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import tolerated
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
+from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets
 from aerial_gym.sim2real.identify.least_squares.weighted import InChannels
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
+
+FORCES = ("specific_force", "kinematic_force")
+"""Kinds of channel in which an accelerometer is read."""
+
+OF_FLIGHTS = "flight"
+"""Kind of what is each flight's own."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,16 +47,24 @@ class Nuisance:
     """Columns of one kind in one channel."""
 
     kind: str
-    """position, heading, velocity, voltage, time or periodic."""
+    """position, heading, velocity, voltage, time, periodic or flight."""
 
     channel: str
     """Where; forces in world axes for position and heading."""
 
     columns: list[InChannels]
-    """(T, C, F) of each flight; one unit is as large as all that the declared model misses in that channel."""
+    """(T, C, F) of each flight, F functions times the size."""
+
+    size: float
+    """One unit, in units of the channel (rms): all that the declared model misses there, or how much flights differ."""
 
     freq_hz: float | None = None
     """Of a tone [Hz]."""
+
+    @property
+    def of_flights(self) -> bool:
+        """Return whether it is each flight's own, and so of no vehicle: it says nothing against a set of effects."""
+        return self.kind == OF_FLIGHTS
 
     @property
     def name(self) -> str:
@@ -61,6 +79,7 @@ def structures_of(
     declared: Sequence[Array],
     present: Sequence[Array],
     effects: Mapping[str, Sequence[Sequence[Array]]],
+    most: Array,
 ) -> list[Nuisance]:
     """Return every structure that these flights can have.
 
@@ -71,6 +90,7 @@ def structures_of(
         declared: What the declared model misses, (T, C): gives the sizes.
         present: What the present model misses, (T, C): gives the frequencies of tones.
         effects: Derivatives of the prediction by the parameters of each effect, (T, C, any), at each of its starts.
+        most: How large offsets of single flights are at most in each channel, (C,).
     """
     found = []
     for kind, features in features_of(flights, times).items():
@@ -94,8 +114,14 @@ def structures_of(
                     [size * x[:, None] * axis[..., None] for x, axis in zip(beyond, axes, strict=True)]
                 )
             ]
-            found.append(Nuisance(kind=kind, channel=channel.name, columns=columns))
-    return [*found, *_tones(flights, times, channels, declared, present)]
+            found.append(Nuisance(kind=kind, channel=channel.name, columns=columns, size=size))
+    return [*found, *_offsets(channels, present, most), *_tones(flights, times, channels, declared, present)]
+
+
+def offsets_of(structures: Sequence[Nuisance], channels: Sequence[Channel], weight: Array) -> OwnOffsets:
+    """Return those of some structures that are each flight's own; ``weight`` is that of a row of each channel, (C,)."""
+    sizes = {structure.channel: structure.size for structure in structures if structure.of_flights}
+    return OwnOffsets(size=np.array([sizes.get(channel.name, 0.0) for channel in channels]), weight=weight)
 
 
 def functions_of(kind: str, flights: Sequence[Flight], times: Sequence[Array]) -> list[Array]:
@@ -133,6 +159,40 @@ def _axes(
     return force, [turn.apply(np.eye(3)[force.index(place)], inverse=True) for turn in turns]
 
 
+def most_of_flights(predictor: Predictor, declared: ModelParams) -> Array:
+    """Return how large offsets of single flights are at most in each channel, (C,).
+
+    As large as what the declared vehicle may be off by, anew in each flight; an accelerometer by more (``acc_of_flight``), a
+    force that is derived from the velocity by nothing: no sensor has felt it. What differs more between flights is no offset:
+    flights in different winds differ by drag.
+    """
+    force = np.array([channel.kind in FORCES for channel in predictor.channels])
+    if not all(flight.accelerometer for flight in predictor.flights):
+        return np.where(force, 0.0, tolerated(predictor, declared))
+    return np.hypot(tolerated(predictor, declared), force * predictor.tolerances.acc_of_flight)
+
+
+def _offsets(channels: Sequence[Channel], present: Sequence[Array], most: Array) -> list[Nuisance]:
+    """Return an offset of each flight's own in each channel: a battery put in anew, a sensor that has warmed up.
+
+    One unit is as large as the scatter between the means of the flights, ``most`` (C,) at most.
+    """
+    if len(present) < 2:
+        return []
+    sizes = np.minimum(np.std([part.mean(axis=0) for part in present], axis=0, ddof=1), most)
+    found = []
+    for place, (channel, size) in enumerate(zip(channels, sizes.tolist(), strict=True)):
+        if not size:
+            continue
+        columns = []
+        for number, part in enumerate(present):
+            values = np.zeros((len(part), 1, len(present)), dtype=np.float32)
+            values[:, 0, number] = size
+            columns.append(InChannels(values=values, channels=(place,)))
+        found.append(Nuisance(kind=OF_FLIGHTS, channel=channel.name, columns=columns, size=size))
+    return found
+
+
 def _tones(
     flights: Sequence[Flight],
     times: Sequence[Array],
@@ -155,7 +215,7 @@ def _tones(
                 size * np.sqrt(2.0) * np.column_stack((np.cos(turn), np.sin(turn)))
             )
             columns.append(InChannels(values=waves, channels=(place,)))
-        found.append(Nuisance(kind="periodic", channel=channel.name, columns=columns, freq_hz=line[0]))
+        found.append(Nuisance(kind="periodic", channel=channel.name, columns=columns, size=size, freq_hz=line[0]))
     return found
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.library import Library, has_rotor, has_starts, neutral_of
-from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance
+from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance, offsets_of
 from aerial_gym.sim2real.identify.candidates.testable import at_bounds
 from aerial_gym.sim2real.identify.evidence.guard import Support, parts_of_a_flight, supports_of_fit
 from aerial_gym.sim2real.identify.evidence.laplace import Model, Posterior, posterior
@@ -82,7 +82,7 @@ class Fitted:
     is not finite."""
 
     parameters: Posterior
-    """Of effects, tolerances and structures, in this order."""
+    """Of effects, tolerances and structures that are not each flight's own, in this order."""
 
     support: dict[str, Support]
     """What speaks for each effect."""
@@ -104,6 +104,16 @@ class Fitted:
         """Return by how much more the parameters scatter between flights than by noise, in variance, 1 at least."""
         found = [one.size * one.overdispersion for one in self.support.values()]
         return max(1.0, sum(found) / max(1, sum(one.size for one in self.support.values())))
+
+    @property
+    def own(self) -> tuple[Nuisance, ...]:
+        """Return the structures that are each flight's own."""
+        return tuple(structure for structure in self.structures if structure.of_flights)
+
+    @property
+    def bare(self) -> bool:
+        """Return whether there are no other structures."""
+        return self.own == self.structures
 
     @property
     def within(self) -> ModelParams:
@@ -143,17 +153,21 @@ class Fitter:
         self._beside.clear()
 
     def beside(self, structures: Sequence[Nuisance], more: Sequence[Array] | None = None) -> Beside:
-        """Return the tolerances, structures behind them, and ``more`` columns (rows, C, any)."""
+        """Return the tolerances, structures behind them, and ``more`` columns (rows, C, any).
+
+        What is each flight's own is integrated out.
+        """
         key = tuple(structures)
         if more is None and key in self._beside:
             return self._beside[key]
         if self._tolerance is None:
             base = self.predictor.predict(self._present)
             self._tolerance = single(tolerance_jacobian(self.predictor, self._present, base))
-        parts: list[Sequence[Part]] = [self._tolerance, *(structure.columns for structure in structures)]
+        parts: list[Sequence[Part]] = [self._tolerance, *(one.columns for one in structures if not one.of_flights)]
         flights = list(zip(*parts, *([] if more is None else [more]), strict=True))
-        times = self.predictor.times
-        found = Beside(times, flights, self.weights.weight, parts=parts_of_a_flight(len(times)))
+        times, weight = self.predictor.times, self.weights.weight
+        offsets = offsets_of(structures, self.predictor.channels, weight)
+        found = Beside(times, flights, weight, parts=parts_of_a_flight(len(times)), offsets=offsets)
         if more is None:
             self._beside[key] = found
             if len(self._beside) > KEPT_BESIDE:
@@ -202,7 +216,8 @@ class Fitter:
             parameters = posterior(linear.candidates, linear.whole, linear.model)
             support = supports_of_fit(linear, self.log_names)
         free = fit.free_effects.size
-        value = parameters.log_evidence - (len(effects) + len(structures)) * self.log_names
+        beyond = self.beside(structures).log_likelihood
+        value = parameters.log_evidence + beyond - (len(effects) + len(structures)) * self.log_names
         against = sum(max(0.0, -one.log_odds) for one in support.values())
         return Fitted(
             effects=effects,

@@ -19,6 +19,7 @@ from aerial_gym.sim2real.identify.least_squares.derivatives import (
     exact_along,
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_moments
+from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets
 from aerial_gym.sim2real.identify.least_squares.weighted import Beside, Weighted, product_of
 from aerial_gym.sim2real.identify.least_squares.within_bounds import minimum_within
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -201,6 +202,12 @@ def tolerance_jacobian(predictor: Predictor, point: ModelParams, base: list[Arra
     return found
 
 
+def tolerated(predictor: Predictor, point: ModelParams) -> Array:
+    """Return the residual (rms) that the tolerances of the vehicle cause in each channel, (C,)."""
+    parts = tolerance_jacobian(predictor, point, predictor.predict(point))
+    return np.sqrt(np.concatenate([(part**2).sum(axis=2) for part in parts]).mean(axis=0))
+
+
 def prior_precision(fit: Fit) -> Array:
     """Return the inverse prior variance of each parameter, (K,): one for tolerances, almost none for effects."""
     precision = np.ones(fit.low.size)
@@ -237,11 +244,17 @@ def linearise(
     *,
     base: list[Array] | None = None,
     length: float | None = None,
+    offsets: OwnOffsets | None = None,
 ) -> tuple[Fit, list[Array], list[Array]]:
-    """Return the model at a point, the residuals there, and their derivatives (rows, C, K); ``length`` is of a block [s]."""
+    """Return the model at a point, the residuals there, and their derivatives (rows, C, K).
+
+    ``length`` is of a block [s]; ``offsets`` of flights are taken out of all.
+    """
     predicted = predictor.predict(point) if base is None else base
     residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
     jacobians = effect_jacobian(predictor, point, effects, predicted, beside=tolerance)
+    if offsets is not None:
+        residuals, jacobians = offsets.taken_out(residuals), offsets.taken_out(jacobians)
     return fit_at(predictor, effects, point, residuals, jacobians, length=length), residuals, jacobians
 
 
@@ -375,7 +388,7 @@ def misfit(beside: Beside, residuals: Sequence[Array]) -> float:
     """Return the weighted squares plus the prior, with what is beside as it fits best; infinite if a residual is not finite."""
     if not all(np.isfinite(part).all() for part in residuals):
         return np.inf
-    one = Weighted([[part[:, :, None]] for part in residuals], beside.weight)
+    one = Weighted([[part[:, :, None]] for part in residuals], beside.offsets)
     square, gradient = float(product_of(one, one)[0, 0]), product_of(one, beside.columns)[0]
     product, far = beside.whole + np.eye(beside.width), np.full(beside.width, FARTHEST_DEVIATION)
     step = minimum_within(product, gradient, -far, far) if far.size else gradient

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
+from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets, no_offsets
 from aerial_gym.sim2real.predict.nonzero import not_zero
 
 Array = NDArray[np.float64]
@@ -52,12 +53,20 @@ def width_of(parts: Sequence[Part]) -> int:
 class Weighted:
     """Derivatives of all flights by K parameters, times the root of the weight of each channel."""
 
-    def __init__(self, flights: Sequence[Sequence[Part]], weight: Array) -> None:
-        """Take the parts of each flight, that lie one behind the other in K, and the weight of one row, (C,)."""
+    def __init__(self, flights: Sequence[Sequence[Part]], offsets: OwnOffsets) -> None:
+        """Take the parts of each flight, that lie one behind the other in K.
+
+        ``offsets`` of flights, with the weight of one row, (C,), are integrated out.
+        """
         self.width = width_of(flights[0])
-        root = np.sqrt(weight)
+        root = np.sqrt(offsets.weight)
         self.columns = [_gathered(parts, root) for parts in flights]
         """Of each flight, for each channel: which of the K, and they, (T, k)."""
+        for own in self.columns if offsets.any else ():
+            for channel in np.flatnonzero(offsets.size):
+                columns = own[channel][1]
+                if columns.size:
+                    columns -= offsets.share(len(columns))[channel] * columns.mean(axis=0)
 
 
 def _gathered(parts: Sequence[Part], root: Array) -> list[tuple[Indices, Array]]:
@@ -118,11 +127,24 @@ class Beside:
     """What is fitted beside effects, tolerances and structures, with the sums that are the same for all effects."""
 
     def __init__(
-        self, times: Sequence[Array], flights: Sequence[Sequence[Part]], weight: Array, *, parts: int = 1
+        self,
+        times: Sequence[Array],
+        flights: Sequence[Sequence[Part]],
+        weight: Array,
+        *,
+        parts: int = 1,
+        offsets: OwnOffsets | None = None,
     ) -> None:
-        """Take times of rows [s], the derivatives, the weight of one row (C,), and in how many parts each flight is."""
-        self.weight, self.blocks = weight, Blocks(times, parts)
-        self.columns = Weighted(flights, weight)
+        """Take times of rows [s], the derivatives, the weight of one row (C,), and in how many parts each flight is.
+
+        ``offsets`` that flights have of their own are integrated out of all.
+        """
+        self.offsets = no_offsets(weight) if offsets is None else offsets
+        self.log_likelihood = self.offsets.log_likelihood([time.size for time in times])
+        """Of the flights, beyond the squares."""
+
+        self.blocks = Blocks(times, parts)
+        self.columns = Weighted(flights, self.offsets)
         self.product = self.blocks.products(self.columns, self.columns)
         """Of each block, (B, N, N)."""
 
@@ -140,7 +162,7 @@ class Beside:
         The columns beside are behind those of the effects.
         """
         width = own[0].shape[2]
-        front = Weighted([(j, r[:, :, None]) for j, r in zip(own, residuals, strict=True)], self.weight)
+        front = Weighted([(j, r[:, :, None]) for j, r in zip(own, residuals, strict=True)], self.offsets)
         inner, across = self.blocks.products(front, front), self.blocks.products(front, self.columns)
         product = np.block(
             [[inner[:, :width, :width], across[:, :width]], [across[:, :width].transpose(0, 2, 1), self.product]]

@@ -15,6 +15,7 @@ from aerial_gym.sim2real.identify.candidates.library import (
     seen_candidates,
 )
 from aerial_gym.sim2real.identify.candidates.nuisance import (
+    OF_FLIGHTS,
     Nuisance,
     functions_of,
 )
@@ -180,8 +181,12 @@ class _Chooser:
     def bare(self, present: Fitted, gone: Collection[str], fits: Sequence[Fitted], fitter: Fitter) -> Fitted:
         """Return the best set without structures that holds only present effects, none of ``gone``, and that holds."""
         kept = set(present.effects).difference(gone)
-        whole = fitter.without(replace(present, structures=()), tuple(gone)) if present.structures or gone else present
-        cases = [one for one in fits if one.holds and not one.structures and kept.issuperset(one.effects)]
+        whole = (
+            fitter.without(replace(present, structures=present.own), tuple(gone))
+            if gone or not present.bare
+            else present
+        )
+        cases = [one for one in fits if one.holds and one.bare and kept.issuperset(one.effects)]
         return max([fitter.held(whole), *cases], key=lambda one: one.log_posterior)
 
     def told_from_nothing(self, fitted: Fitted, present: Fitted, fitter: Fitter) -> tuple[Fitted, dict[str, float]]:
@@ -255,7 +260,7 @@ class _Chooser:
             parameters = posterior(linear.candidates, linear.whole, linear.model)
             return parameters.log_evidence - len(structures) * fitter.log_names, parameters
 
-        kinds = sorted({structure.kind for structure in present.structures} - {"periodic"})
+        kinds = sorted({structure.kind for structure in present.structures} - {"periodic", OF_FLIGHTS})
         functions = {kind: functions_of(kind, predictor.flights, predictor.times) for kind in kinds}
         steady = log_posterior(present.structures)[0] if kinds else 0.0
         for name, kind in ((name, kind) for name in present.effects for kind in kinds):

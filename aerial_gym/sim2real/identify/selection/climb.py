@@ -4,7 +4,7 @@ All candidates are linearised about the present model; the posterior over sets t
 fitted as it is, not linearised, and its evidence taken there. The best becomes the present model, until none is better.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,7 @@ from aerial_gym.sim2real.identify.candidates.library import (
 from aerial_gym.sim2real.identify.candidates.nuisance import (
     Nuisance,
     beyond_structures,
+    most_of_flights,
     structures_of,
 )
 from aerial_gym.sim2real.identify.evidence.fitting import (
@@ -94,7 +95,7 @@ class View:
     @property
     def best_bare(self) -> Fitted:
         """Return the best of those without structures."""
-        bare = (fitted for fitted in self.fits.values() if fitted.holds and not fitted.structures)
+        bare = (fitted for fitted in self.fits.values() if fitted.holds and fitted.bare)
         return max(bare, key=lambda one: one.log_posterior)
 
     def known(self, label: Label) -> bool:
@@ -113,7 +114,7 @@ class View:
         behind, here = self.sets.look([model, self.here])
         if self.known(label_in(self.library, model)):
             return
-        beside = any(self.library.candidates[k].structure for k in model)
+        beside = any(self.library.candidates[k].structure and not self.library.candidates[k].of_flights for k in model)
         compared = self.compared(beside=beside)
         if however_far or self.present.log_posterior - (here - behind) / MOST_TO_PROMISE > compared.least:
             self.add(self.fitter.fit_of(self.library, self.sets, model, self.structures, compared))
@@ -132,7 +133,7 @@ class View:
         while not self.known(fitted.label):
             self.fits[fitted.label] = fitted
             self.fresh.add(fitted.label)
-            compared = self.compared(beside=bool(fitted.structures))
+            compared = self.compared(beside=not fitted.bare)
             if not fitted.holds and fitted.most > compared.least:
                 fitted = self.fitter.without_weakest(fitted, compared)
 
@@ -157,6 +158,7 @@ class Climber:
         """Take training flights, the declared model, and the effects that may be in a set."""
         self.predictor, self.declared, self.names, self.progress = predictor, declared, tuple(names), progress
         self.missed = predictor.residuals(declared)
+        self.of_flights = most_of_flights(predictor, declared)
         self.weights = self.weigh(declared)
         self.skipped = tuple(name for name in EFFECTS if name not in self.names)
 
@@ -181,7 +183,7 @@ class Climber:
         flights, times, channels = self.predictor.flights, self.predictor.times, self.predictor.channels
 
         def beyond(residuals: list[Array], weights: Weighting) -> list[Array]:
-            structures = structures_of(flights, times, channels, self.missed, residuals, {})
+            structures = structures_of(flights, times, channels, self.missed, residuals, {}, self.of_flights)
             return beyond_structures(structures, residuals, weights)
 
         linear = [tolerance, *derivatives_at_starts(self.predictor, params, self.declared, several)]
@@ -199,7 +201,7 @@ class Climber:
         for count in range(MOST_ROUNDS):
             self.progress(f"sets of effects, round {count + 1}", count / MOST_ROUNDS)
             view = self.look_around(present, own, fits)
-            for more in (self.fit_probable, self.fit_fewer, self.fit_rivals):
+            for more in (self.fit_probable, self.fit_fewer, self.fit_rivals, self.fit_nearest):
                 settled = -1
                 while settled != len(own) and self.leader(view) is present:  # else what looked best was not
                     settled = len(own)
@@ -231,7 +233,8 @@ class Climber:
         can make what an effect with a memory or a range makes, better than the effect where it is linear: sets without
         structures have their own turn.
         """
-        values, structures = view.sets.log_posterior, view.sets.candidates.structures
+        values = view.sets.log_posterior
+        structures = {k for k, one in enumerate(view.library.candidates) if one.structure and not one.of_flights}
         order = sorted(values, key=values.__getitem__, reverse=True)
         bare, seen = [model for model in order if not structures.intersection(model)], set[Label]()
         for turn, best_of_turn in ((order, lambda: view.best), (bare, lambda: view.best_bare)):
@@ -251,23 +254,27 @@ class Climber:
         """Fit the sets with an effect less than the present one, and with a narrower case of an effect."""
         for gone in (k for k in view.here if not view.library.candidates[k].structure):
             view.fit(tuple(k for k in view.here if k != gone))
-        compared = view.compared(beside=bool(view.present.structures))
+        compared = view.compared(beside=not view.present.bare)
         for fitted in view.fitter.narrower(view.present, self.names, compared):
             view.add(fitted)
 
     def fit_rivals(self, view: View) -> None:
-        """Fit the best sets with another effect in the place of one of the present: the best, and what may be as probable.
+        """Fit the best sets with another effect in the place of one of the present that may be as probable."""
+        least = view.present.log_posterior - reach_of(view.present)
+        for values in swaps(view):
+            for model in sorted(values, key=values.__getitem__, reverse=True)[:MOST_RIVALS]:
+                if values[model] > least:
+                    view.fit(model)
 
-        The best however far it is behind: it is what a reader would ask for.
+    def fit_nearest(self, view: View) -> None:
+        """Fit the best set with another effect in the place of each of the present, however far it is behind.
+
+        It is what a reader would ask for.
         """
-        candidates, least = view.library.candidates, view.present.log_posterior - reach_of(view.present)
-        others = [k for k, one in enumerate(candidates) if not one.structure and one.name not in view.present.effects]
-        for gone in (k for k in view.here if not candidates[k].structure):
-            swaps = [tuple(sorted((*(k for k in view.here if k != gone), other))) for other in others]
-            values = dict(zip(swaps, view.sets.look(swaps).tolist(), strict=True))
-            for place, model in enumerate(sorted(swaps, key=values.__getitem__, reverse=True)[:MOST_RIVALS]):
-                if np.isfinite(values[model]) and (place == 0 or values[model] > least):
-                    view.fit(model, however_far=place == 0)
+        for values in swaps(view):
+            best = max(values, key=values.__getitem__, default=())
+            if np.isfinite(values.get(best, -np.inf)):
+                view.fit(best, however_far=True)
 
     def look_around(self, present: Fitted, own: dict[Label, Fitter], fits: dict[Label, Fitted]) -> View:
         """Return all candidates about a model, the posterior over their sets, and the structures among them."""
@@ -276,7 +283,7 @@ class Climber:
         forget_but(own, present.label)
 
         def of_residuals(residuals: list[Array], effects: dict[str, list[Derivatives]]) -> list[Nuisance]:
-            structures.extend(structures_of(flights, times, channels, self.missed, residuals, effects))
+            structures.extend(structures_of(flights, times, channels, self.missed, residuals, effects, self.of_flights))
             return structures
 
         library = build_library(
@@ -305,6 +312,15 @@ class Climber:
             sets=sets,
             guard=Guard(library, sets),
         )
+
+
+def swaps(view: View) -> Iterator[dict[Model, float]]:
+    """Yield for each present effect the sets with another one in its place, and how probable the linear model has them."""
+    candidates = view.library.candidates
+    others = [k for k, one in enumerate(candidates) if not one.structure and one.name not in view.present.effects]
+    for gone in (k for k in view.here if not candidates[k].structure):
+        models = [tuple(sorted((*(k for k in view.here if k != gone), other))) for other in others]
+        yield dict(zip(models, view.sets.look(models).tolist(), strict=True))
 
 
 def forget_but(own: Mapping[Label, Fitter], *kept: Label) -> None:

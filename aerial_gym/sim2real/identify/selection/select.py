@@ -8,6 +8,7 @@ import numpy as np
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.library import neutral_of
+from aerial_gym.sim2real.identify.candidates.nuisance import offsets_of
 from aerial_gym.sim2real.identify.candidates.testable import lacks
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted
 from aerial_gym.sim2real.identify.least_squares.covariance import uncertainty
@@ -17,8 +18,10 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     fit_effects,
     linearise,
     tolerance_jacobian,
+    tolerated,
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
+from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets
 from aerial_gym.sim2real.identify.least_squares.weighted import Beside
 from aerial_gym.sim2real.identify.selection.choose import Chosen, choose_effects
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE, Criteria, LeftOut, Scored
@@ -80,6 +83,11 @@ class Selection:
     def weights(self) -> Weighting:
         """Return what a row of each channel counts."""
         return self.chosen.weights
+
+    @property
+    def own_offsets(self) -> OwnOffsets:
+        """Return the offsets that training flights have of their own."""
+        return offsets_of(self.chosen.best.structures, self.left_out.channels, self.weights.weight)
 
     @property
     def surrogates(self) -> dict[str, str]:
@@ -164,20 +172,21 @@ class _Scorer:
         self.predictor, self.declared, self.chosen, self.weights = predictor, declared, chosen, chosen.weights
         start = chosen.named.params
         self.tolerance = tolerance_jacobian(predictor, start, predictor.predict(start))
-        self.beside = Beside(predictor.times, [[part] for part in self.tolerance], self.weights.weight)
-        about = tolerance_jacobian(predictor, declared, predictor.predict(declared))
-        squares = np.concatenate([(part**2).sum(axis=2) for part in about])
+        weight = self.weights.weight
+        self.offsets = offsets_of(chosen.best.structures, predictor.channels, weight)
+        parts = [[part] for part in self.tolerance]
+        self.beside = Beside(predictor.times, parts, weight, offsets=self.offsets)
         self.left_out = LeftOut(
             moments=self._fit((), declared, frozenset()).moments,
             weights=self.weights,
             criteria=criteria,
             channels=predictor.channels,
-            tolerated=np.sqrt(squares.mean(axis=0)),
+            tolerated=tolerated(predictor, declared),
         )
 
     def _fit(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen) -> Fit:
         found, _, _ = fit_effects(self.predictor, effects, start, self.beside, frozen=frozen)
-        by_channel, _, _ = linearise(self.predictor, effects, found.point, self.tolerance)
+        by_channel, _, _ = linearise(self.predictor, effects, found.point, self.tolerance, offsets=self.offsets)
         return replace(by_channel, frozen=frozen)
 
     def score(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen = frozenset()) -> Scored:

@@ -1,7 +1,8 @@
 """What training leaves open on test flights, against closed forms and flights whose inertia is declared wrongly."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from aerial_gym.interop import one_thread
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.moments import weights_from
+from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.judge.predictive import left_open, quantile_of_squares
 from aerial_gym.sim2real.judge.unexplained import Unexplained, find_unexplained
@@ -42,9 +44,19 @@ def test_the_quantile_is_exact_for_one_direction_and_for_equal_ones_and_near_it_
 
 
 def judged(
-    folder, inertia: float, *, still: bool, drag: float = 0.0, looked_for: tuple[str, ...] = tuple(EFFECTS)
+    folder,
+    inertia: float,
+    *,
+    still: bool,
+    drag: float = 0.0,
+    looked_for: tuple[str, ...] = tuple(EFFECTS),
+    own: Mapping[str, float] = MappingProxyType({}),
+    more: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> Unexplained:
-    """Return what is left of a flight whose inertia is declared wrongly by a factor, with a drag, after flights without it."""
+    """Return what is left of a flight whose inertia is declared wrongly by a factor, with a drag, after flights without it.
+
+    ``own``: how large offsets of single flights are, by channel; ``more`` is felt along x in the last flight, at a time [s].
+    """
     body = replace(ROBOT.body, inertia=tuple(tuple(inertia * value for value in row) for row in ROBOT.body.inertia))
     robot: RobotCfg = replace(ROBOT, body=body)
     rng, flights = np.random.default_rng(0), []
@@ -60,6 +72,9 @@ def judged(
                 ang_vel=rest.ang_vel + 3e-4 * rng.standard_normal(rest.ang_vel.shape),
                 specific_force=rest.specific_force + 5e-3 * rng.standard_normal((len(rest.time), 3)),
             )
+        if seed == 3 and more is not None:
+            assert flown.specific_force is not None
+            flown = replace(flown, specific_force=flown.specific_force + np.outer(more(flown.time), [1.0, 0.0, 0.0]))
         flights.append(flown)
     channels, sizes = find_channels(flights), Tolerances()
     train, test = (
@@ -78,6 +93,7 @@ def judged(
         accepted=(),
         surrogates={},
         looked_for=looked_for,
+        own_offsets=OwnOffsets(size=np.array([own.get(c.name, 0.0) for c in channels]), weight=weights.weight),
         left_out=SimpleNamespace(tolerated=np.sqrt(squares)),
     )
     floor = noise_floor(robot, test.flights, declared, channels, bandwidth=10.0)
@@ -111,8 +127,15 @@ def test_a_parameter_is_no_surer_on_test_flights_than_its_interval(tmp_path) -> 
 
     def limit(std: float) -> np.ndarray:
         spread = SimpleNamespace(columns=np.array([0]), std=np.array([std]))
-        selection = SimpleNamespace(final=SimpleNamespace(fit=fit, spread=spread), weights=weights, criteria=Criteria())
-        return left_open(predictor, point, selection)  # type: ignore[arg-type]
+        selection = SimpleNamespace(
+            final=SimpleNamespace(fit=fit, spread=spread),
+            weights=weights,
+            criteria=Criteria(),
+            own_offsets=OwnOffsets(size=np.zeros(len(channels)), weight=weights.weight),
+        )
+        within, whole = left_open(predictor, point, selection)  # type: ignore[arg-type]
+        np.testing.assert_allclose(within, whole, rtol=1e-9)
+        return within
 
     none, some, more = limit(0.0), limit(10.0), limit(20.0)
     assert some[0] > 10.0 * none[0]
@@ -129,6 +152,21 @@ def test_what_no_tolerance_covers_is_open_to_the_effect_that_training_does_not_s
     with one_thread():
         asked = judged(tmp_path, 1.25, still=True, looked_for=("rotor_drag",))
     assert "inertia_error" not in asked.open_to
+
+
+def test_an_offset_as_large_as_those_of_other_flights_is_open_and_what_moves_is_not(tmp_path) -> None:
+    """0.2 m/s² along x in the test flight alone: nothing new where offsets of flights scatter by 0.1, and they move nothing."""
+    with one_thread():
+        alone = judged(tmp_path, 1.0, still=False, more=lambda time: np.full(time.size, 0.2))
+        as_others = judged(
+            tmp_path, 1.0, still=False, more=lambda time: np.full(time.size, 0.2), own={"specific_force.x": 0.1}
+        )
+        moving = judged(
+            tmp_path, 1.0, still=False, more=lambda time: 0.3 * np.sin(5.0 * time), own={"specific_force.x": 0.1}
+        )
+    assert "specific_force.x" in alone.channels
+    assert (as_others.channels, as_others.left_open) == ((), ("specific_force.x",))
+    assert "specific_force.x" in moving.channels
 
 
 def test_what_training_shows_is_not_open(tmp_path) -> None:

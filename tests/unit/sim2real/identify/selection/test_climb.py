@@ -72,6 +72,8 @@ def test_the_best_other_effect_is_fitted_however_far_and_whether_or_not_it_holds
     view = view_of({(0,): 0.0, (1,): -1e6, (2,): -2e6, (3,): -3e6}, best, drag)
     view.guard.held = lambda _model: ()  # type: ignore[method-assign]
     Climber.fit_rivals(cast("Any", None), view)
+    assert set(view.fits) == {best.label}
+    Climber.fit_nearest(cast("Any", None), view)
     assert set(view.fits) == {best.label, drag.label}
 
 

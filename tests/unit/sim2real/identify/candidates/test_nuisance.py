@@ -1,0 +1,66 @@
+"""What is each flight's own among the structures that compete with effects."""
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from aerial_gym.sim2real.identify.candidates.nuisance import _offsets, most_of_flights, offsets_of
+from aerial_gym.sim2real.logs.flights import complete_flight
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.signals import uniform_log
+from aerial_gym.sim2real.predict.channels import find_channels
+from aerial_gym.sim2real.predict.model_params import declared_params
+from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.predict.tolerances import Tolerances
+from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+
+CHANNELS = cast("Any", [SimpleNamespace(name=f"specific_force.{axis}") for axis in "xyz"])
+MEANS = np.array([[0.1, 3.0, 0.2], [-0.1, -3.0, 0.2], [0.3, 0.0, 0.2]])
+"""Of three flights in each channel; the last one does not differ."""
+
+
+def residuals() -> list[np.ndarray]:
+    waves = [np.sin(np.linspace(0.0, 2.0 * np.pi * 4.0, 40, endpoint=False)) for _ in MEANS]
+    return [mean + wave[:, None] for mean, wave in zip(MEANS, waves, strict=True)]
+
+
+def test_an_offset_of_a_flight_is_a_constant_of_that_flight_as_large_as_flights_differ_and_no_larger_than_they_may() -> (
+    None
+):
+    found = _offsets(CHANNELS, residuals(), np.array([1.0, 0.5, 1.0]))
+    assert [one.name for one in found] == ["flight in specific_force.x", "flight in specific_force.y"]
+    x, y = found
+    assert x.of_flights
+    assert x.size == pytest.approx(0.2)
+    assert y.size == 0.5
+    for number, columns in enumerate(x.columns):
+        expected = np.zeros((40, 3))
+        expected[:, number] = 0.2
+        np.testing.assert_allclose(columns.in_channel(0), expected, rtol=1e-6)
+        assert columns.in_channel(1).shape == (40, 0)
+    weight = np.array([1.0, 2.0, 3.0])
+    np.testing.assert_allclose(offsets_of(found, CHANNELS, weight).size, [0.2, 0.5, 0.0])
+
+
+def test_one_flight_alone_has_no_offset_of_its_own() -> None:
+    assert _offsets(CHANNELS, residuals()[:1], np.ones(3)) == []
+
+
+def test_a_force_that_no_sensor_has_felt_has_none(tmp_path) -> None:
+    """With an accelerometer 0.1 m/s² and what tolerances make; derived from the velocity nothing, beside a gyro that stays."""
+    tables = {"felt": flight(3), "derived": flight(3).drop(columns=["acc_x", "acc_y", "acc_z"])}
+    sizes = {}
+    for name, table in tables.items():
+        flown = complete_flight(uniform_log(read_flight_log(write(table, tmp_path / f"{name}.csv"))))
+        channels = find_channels([flown])
+        predictor = Predictor(ROBOT, [flown], bandwidth=10.0, channels=channels, tolerances=Tolerances())
+        found = most_of_flights(predictor, declared_params(ROBOT))
+        sizes[name] = dict(zip((channel.name for channel in channels), found, strict=True))
+    assert 0.1 < sizes["felt"]["specific_force.x"] < 0.2
+    assert sizes["derived"]["specific_force.x"] == 0.0
+    assert sizes["derived"]["angular_acceleration.x"] == pytest.approx(
+        sizes["felt"]["angular_acceleration.x"], rel=1e-6
+    )
+    assert sizes["felt"]["angular_acceleration.x"] > 0.0

@@ -1,0 +1,62 @@
+"""Offsets of flights that are integrated out, against the covariance of rows that share one, and against fitted columns."""
+
+import numpy as np
+
+from aerial_gym.sim2real.identify.evidence.laplace import Normal
+from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets
+
+
+def flights(rng: np.random.Generator) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Return residuals (rows, 2) and derivatives (rows, 2, 3) of three flights."""
+    rows = (7, 12, 30)
+    return [rng.standard_normal((n, 2)) for n in rows], [rng.standard_normal((n, 2, 3)) for n in rows]
+
+
+def test_products_are_those_under_the_covariance_of_rows_that_share_an_offset() -> None:
+    """``J^T (1 / w + s² 1 1^T)^-1 r`` by the inverse itself, channel by channel; the second channel has no offset."""
+    residuals, jacobians = flights(np.random.default_rng(1))
+    offsets = OwnOffsets(size=np.array([0.7, 0.0]), weight=np.array([4.0, 2.0]))
+    for r, j, out, along in zip(
+        residuals, jacobians, offsets.taken_out(residuals), offsets.taken_out(jacobians), strict=True
+    ):
+        for channel, (size, weight) in enumerate(zip(offsets.size, offsets.weight, strict=True)):
+            inverse = np.linalg.inv(np.eye(len(r)) / weight + size**2)
+            found = weight * along[:, channel].T @ out[:, channel]
+            np.testing.assert_allclose(found, j[:, channel].T @ inverse @ r[:, channel], rtol=1e-10)
+            square = weight * out[:, channel] @ out[:, channel]
+            np.testing.assert_allclose(square, r[:, channel] @ inverse @ r[:, channel], rtol=1e-10)
+    np.testing.assert_array_equal(offsets.taken_out(residuals)[0][:, 1], residuals[0][:, 1])
+
+
+def test_it_is_what_is_left_of_a_column_for_each_flight() -> None:
+    """As the selection has it: a column of each flight with a normal prior, integrated out of the sums."""
+    residuals, jacobians = flights(np.random.default_rng(2))
+    size, weight = 0.4, 3.0
+    offsets = OwnOffsets(size=np.array([size, 0.0]), weight=np.array([weight, weight]))
+    product, gradient, constant = np.zeros((6, 6)), np.zeros(6), 0.0
+    for place, (r, j) in enumerate(zip(residuals, jacobians, strict=True)):
+        for channel in range(2):
+            columns = np.column_stack((j[:, channel], np.zeros((len(r), 3))))
+            columns[:, 3 + place] = size * (channel == 0)
+            product += weight * columns.T @ columns
+            gradient += weight * columns.T @ r[:, channel]
+            constant -= 0.5 * weight * r[:, channel] @ r[:, channel]
+    kept = Normal(product=product, gradient=gradient, constant=constant).beside(np.arange(3, 6), np.arange(3))
+    pairs = list(zip(offsets.taken_out(residuals), offsets.taken_out(jacobians), strict=True))
+    np.testing.assert_allclose(
+        kept.product, sum(weight * np.einsum("rck,rcl->kl", j, j) for _, j in pairs), rtol=1e-10, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        kept.gradient, sum(weight * np.einsum("rck,rc->k", j, r) for r, j in pairs), rtol=1e-10, atol=1e-12
+    )
+
+    left = -0.5 * sum(weight * np.square(r).sum() for r, _ in pairs)
+    np.testing.assert_allclose(kept.constant, left + offsets.log_likelihood([len(r) for r in residuals]), rtol=1e-12)
+
+
+def test_without_offsets_nothing_changes() -> None:
+    residuals, _ = flights(np.random.default_rng(3))
+    offsets = OwnOffsets(size=np.zeros(2), weight=np.ones(2))
+    assert not offsets.any
+    for before, after in zip(residuals, offsets.taken_out(residuals), strict=True):
+        assert after is before
