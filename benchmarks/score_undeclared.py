@@ -1,6 +1,6 @@
 """Does the loop name what the undeclared plant hides?
 
-    python -m benchmarks.score_undeclared --seeds 101 102 [--nuisance] [--size moderate] [--json]
+    python -m benchmarks.score_undeclared --seeds 101 102 [--nuisance | --tracked] [--size moderate] [--json]
     python -m benchmarks.score_undeclared --seeds 101 102 --effects all --sizes small moderate large --unknown \
         --pairs com_offset+constant_wind --jobs 8 --out out/undeclared [--write TABLE.md]
 
