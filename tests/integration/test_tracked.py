@@ -23,4 +23,5 @@ def test_neither_is_an_effect_of_the_vehicle(tmp_path: Path, effects: dict[str, 
     verdict = judge_flights(robot, train, test, bandwidth=10.0).verdict
     assert [effect.name for effect in verdict.effects] == list(effects)
     assert verdict.verdict == ("explained" if effects else "none")
+    assert "each flight has an offset of its own in specific_force" in verdict.reason
     assert any("offset of its own" in note and "specific_force" in note for note in verdict.notes)

@@ -171,6 +171,7 @@ def decision(
         known,
         open_to=unexplained.open_to,
         left_open=unexplained.left_open,
+        of_flights=unexplained.of_flights,
     )
     kind, reason, candidates = unexplained.wind.decision(made) if gusts else made
     if judges_forces(declared.flights) or all(channel.kind != "specific_force" for channel in declared.channels):

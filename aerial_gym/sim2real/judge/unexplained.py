@@ -45,6 +45,9 @@ class Unexplained:
     left_open: tuple[str, ...]
     """In which more than noise remains, and no more than training flights leave open of the tolerances and named effects."""
 
+    of_flights: tuple[str, ...]
+    """In which more than noise remains, and that is an offset of each flight's own, as training flights have them."""
+
     open_to: tuple[str, ...]
     """Effects that would make what remains in ``channels`` and that training flights do not show well enough to tell."""
 
@@ -129,11 +132,13 @@ def find_unexplained(
         could = open_effects(train, test, models, selection, asked)
     names = [channel.name for channel in test.channels]
     open_channels = suspected & material_excess(rms, floor, tolerated) & ~remaining
+    offsets = open_channels & own & ~material_excess(about, floor, tolerated)
     return Unexplained(
         within=within,
         left=left,
         channels=names_of(names, remaining),
-        left_open=names_of(names, open_channels),
+        left_open=names_of(names, open_channels & ~offsets),
+        of_flights=names_of(names, offsets),
         open_to=could,
         floor=floor,
         wind=wind,

@@ -271,6 +271,7 @@ def decide(
     *,
     open_to: Sequence[str] = (),
     left_open: Sequence[str] = (),
+    of_flights: Sequence[str] = (),
 ) -> tuple[str, str, tuple[str, ...]]:
     """Return verdict, reason and candidates.
 
@@ -280,6 +281,7 @@ def decide(
         floor_known: Whether the logs show a noise floor.
         open_to: Effects that would make what remains, and that training flights do not show.
         left_open: Channels in which more than noise remains, and no more than training flights leave open.
+        of_flights: Channels in which an offset of each flight's own remains.
     """
     tied = {name: tied_rivals(name, selection) for name in selection.accepted}
     candidates = list(selection.accepted)
@@ -302,13 +304,16 @@ def decide(
     if not selection.accepted and not floor_known:
         start = "no registered effect explains more of the flights than the declared model, but the logs are too slow or short"
         return "none", f"{start} to show a noise floor: whether more than noise remains cannot be told", unique
+    own = f"; each flight has an offset of its own in {', '.join(of_flights)}" if of_flights else ""
     if not selection.accepted:
         rest = f"; what the training flights do not show remains in {', '.join(left_open)}" if left_open else ""
-        return "none", f"the declared model explains the flights within noise and tolerances{rest}", unique
+        return "none", f"the declared model explains the flights within noise and tolerances{own}{rest}", unique
     if left_open:
         rest = f"what remains in {', '.join(left_open)} is no more than they leave open: fly more to know it better"
+    elif of_flights:
+        rest = "what else remains is near the noise floor"
     elif floor_known:
         rest = "what remains is near the noise floor"
     else:
         rest = "the logs are too slow or short to show a noise floor"
-    return "explained", f"the flights show {names}; {rest}", unique
+    return "explained", f"the flights show {names}{own}; {rest}", unique

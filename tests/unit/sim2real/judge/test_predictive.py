@@ -165,7 +165,8 @@ def test_an_offset_as_large_as_those_of_other_flights_is_open_and_what_moves_is_
             tmp_path, 1.0, still=False, more=lambda time: 0.3 * np.sin(5.0 * time), own={"specific_force.x": 0.1}
         )
     assert "specific_force.x" in alone.channels
-    assert (as_others.channels, as_others.left_open) == ((), ("specific_force.x",))
+    assert (as_others.channels, as_others.left_open) == ((), ())
+    assert as_others.of_flights == ("specific_force.x",)
     assert "specific_force.x" in moving.channels
 
 

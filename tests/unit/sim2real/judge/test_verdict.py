@@ -51,6 +51,14 @@ def test_what_training_leaves_open_is_not_called_noise(monkeypatch: pytest.Monke
     )
     _, reason, _ = verdict.decide(found, (), True)  # type: ignore[arg-type]
     assert reason == "the flights show rotor_drag; what remains is near the noise floor"
+    _, reason, _ = verdict.decide(found, (), True, of_flights=("specific_force.x",))  # type: ignore[arg-type]
+    assert reason == (
+        "the flights show rotor_drag; each flight has an offset of its own in specific_force.x; "
+        "what else remains is near the noise floor"
+    )
+    kind, reason, _ = verdict.decide(nothing, (), True, of_flights=("specific_force.x",))  # type: ignore[arg-type]
+    assert kind == "none"
+    assert reason.endswith("within noise and tolerances; each flight has an offset of its own in specific_force.x")
     kind, reason, _ = verdict.decide(nothing, (), True, left_open=("angular_acceleration.z",))  # type: ignore[arg-type]
     assert kind == "none"
     assert reason.endswith("what the training flights do not show remains in angular_acceleration.z")
