@@ -112,7 +112,7 @@ class Fitted:
 
     @property
     def bare(self) -> bool:
-        """Return whether there are no other structures."""
+        """Return whether there are no other structures: what a robot file holds is judged so."""
         return self.own == self.structures
 
     @property

@@ -52,7 +52,7 @@ class Chosen:
     """The most probable set of effects."""
 
     named: Fitted
-    """As a robot file holds it: without structures, surrogates and trifles."""
+    """As a robot file holds it: without structures (but offsets of flights beside it), surrogates and trifles."""
 
     best: Fitted
     """The most probable set of all, as it was fitted: with them."""
@@ -179,7 +179,7 @@ class _Chooser:
         )
 
     def bare(self, present: Fitted, gone: Collection[str], fits: Sequence[Fitted], fitter: Fitter) -> Fitted:
-        """Return the best set without structures that holds only present effects, none of ``gone``, and that holds."""
+        """Return the best set without structures, but offsets of flights, of present effects, none of ``gone``, that holds."""
         kept = set(present.effects).difference(gone)
         whole = (
             fitter.without(replace(present, structures=present.own), tuple(gone))

@@ -94,7 +94,7 @@ class View:
 
     @property
     def best_bare(self) -> Fitted:
-        """Return the best of those without structures."""
+        """Return the best of those without structures but offsets of flights."""
         bare = (fitted for fitted in self.fits.values() if fitted.holds and fitted.bare)
         return max(bare, key=lambda one: one.log_posterior)
 
@@ -231,7 +231,7 @@ class Climber:
         A fit takes from a set what its linear model promised too much. So sets are fitted in the order of what they promise,
         until none promises more than the best one holds, or several in a row have not held it. Several structures together
         can make what an effect with a memory or a range makes, better than the effect where it is linear: sets without
-        structures have their own turn.
+        structures, but for offsets of flights, have their own turn.
         """
         values = view.sets.log_posterior
         structures = {k for k, one in enumerate(view.library.candidates) if one.structure and not one.of_flights}
