@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
@@ -26,6 +27,8 @@ from aerial_gym.sim2real.logs.clock_offset import (
 )
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass
+
+Array = NDArray[np.float64]
 
 FAR_S = 0.25
 """Delays of the rotor log are looked for up to this [s]."""
@@ -55,19 +58,47 @@ def offset_curve_of(
 
     ``stride``: every so many rows are compared.
     """
-    assert log.rotor_speed is not None
     assert log.specific_force is not None
     assert log.lin_vel is not None
-    rows = vehicle_from_config(robot, num_envs=log.time.size, dtype=torch.float64)
-    speed = torch.from_numpy(log.rotor_speed)
-    force, _ = rotor_wrench(rows, rotor_thrust(rows, speed), rotor_torque(rows, speed))
-    rate = rate_of(log)
+    thrust, _ = _made_by_rotors(log, robot)
     others = [Rotation.from_quat(log.attitude).apply(log.lin_vel, inverse=True)[:, 2:]]
     if log.ang_vel is not None:
-        others.append(lowpass(log.ang_vel, rate, DERIVED_BAND * rate, derivative=True)[:, :2])
-    thrust = (force[:, 2] / rows.mass).numpy()
-    band = min(bandwidth, DERIVED_BAND * rate)
+        others.append(_ang_acc(log)[:, :2])
     waves = np.column_stack((log.specific_force[:, 2], thrust, *others))
+    return _curve_of(waves, rate_of(log), bandwidth, largest, stride)
+
+
+def turning_curves_of(
+    log: FlightLog, robot: RobotCfg, bandwidth: float, *, largest: float, stride: int
+) -> list[OffsetCurve]:
+    """Return the same for the turning about x and y, which what else acts along z does not touch; none without a gyro."""
+    if log.ang_vel is None:
+        return []
+    _, torque = _made_by_rotors(log, robot)
+    turning, rate = _ang_acc(log), rate_of(log)
+    pairs = (np.column_stack((turning[:, axis], torque[:, axis])) for axis in (0, 1))
+    return [_curve_of(waves, rate, bandwidth, largest, stride) for waves in pairs]
+
+
+def _made_by_rotors(log: FlightLog, robot: RobotCfg) -> tuple[Array, Array]:
+    """Return specific force along z [m/s²], (T,), and torque [N m], (T, 3), of the logged rotor speeds."""
+    assert log.rotor_speed is not None
+    rows = vehicle_from_config(robot, num_envs=log.time.size, dtype=torch.float64)
+    speed = torch.from_numpy(log.rotor_speed)
+    force, torque = rotor_wrench(rows, rotor_thrust(rows, speed), rotor_torque(rows, speed))
+    return (force[:, 2] / rows.mass).numpy(), torque.numpy()
+
+
+def _ang_acc(log: FlightLog) -> Array:
+    """Return the angular acceleration [rad/s²], body, (T, 3)."""
+    assert log.ang_vel is not None
+    rate = rate_of(log)
+    return lowpass(log.ang_vel, rate, DERIVED_BAND * rate, derivative=True)
+
+
+def _curve_of(waves: Array, rate: float, bandwidth: float, largest: float, stride: int) -> OffsetCurve:
+    """Return the curve of what is measured, what rotors make and what else acts, (T, any), at every so many rows."""
+    band = min(bandwidth, DERIVED_BAND * rate)
     if stride > 1:
         waves, rate = lowpass(waves, rate, 2.0 * band)[::stride], rate / stride
     return offset_curve(waves[:, 0], waves[:, 1], waves[:, 2:], rate, band, largest=largest)
@@ -80,7 +111,10 @@ def with_rotor_clock(log: FlightLog, offset: ClockOffset, robot: RobotCfg) -> Fl
 
 
 def check_rotor_clock(log: FlightLog, robot: RobotCfg, bandwidth: float) -> None:
-    """Raise ``DataError`` if measured rotor speeds clearly come later or earlier than any clock is off."""
+    """Raise ``DataError`` if measured rotor speeds clearly come later or earlier than any clock is off.
+
+    Unless the turning says as clearly that they do not: then something else acts along z, a downwash.
+    """
     if log.rotor_speed is None or log.specific_force is None or log.lin_vel is None:
         return
     stride = max(1, int(rate_of(log) / (ROWS_PER_BAND * bandwidth)))
@@ -92,6 +126,9 @@ def check_rotor_clock(log: FlightLog, robot: RobotCfg, bandwidth: float) -> None
     best = int(np.argmin(curve.left))
     if near[best] or best in (0, rows.size - 1) or curve.left[best] > FAR_GAIN * min(curve.left[near].min(), 1.0):
         return
+    for turning in turning_curves_of(log, robot, bandwidth, largest=FAR_S, stride=stride):
+        if turning.left.size and turning.left[near].min() < FAR_GAIN * turning.left[best]:
+            return
     time, most = 1e3 * float(rows[best]) / curve.rate, 1e3 * LARGEST_SHIFT_S
     way = f"{'lead' if time > 0.0 else 'lag'} the accelerometer by {abs(time):.0f} ms"
     raise DataError(

@@ -1,5 +1,6 @@
 """A rotor log that is further off than any clock is refused; one that a clock explains, or that tells nothing, is not."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.rotor_clock import check_rotor_clock
 from aerial_gym.sim2real.logs.signals import lowpass
-from tests.unit.sim2real.flat_flights import ROBOT, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 ROTORS = [f"rotor_{n}" for n in range(1, 5)]
 
@@ -47,3 +48,20 @@ def test_a_clock_is_set_and_not_refused(tmp_path: Path, late: float) -> None:
 
 def test_a_thrust_that_hardly_varies_tells_no_delay(tmp_path: Path) -> None:
     check_rotor_clock(climbs(tmp_path, 0.1, rate=100.0, vigour=1e-4), ROBOT, 10.0)
+
+
+def test_a_force_along_z_that_follows_the_thrust_later_is_no_delay_where_the_turning_knows_of_none(
+    tmp_path: Path,
+) -> None:
+    """What rotors make turns the vehicle at once and lifts it 150 ms later: refused without a gyro, and with rotors that are
+    late in both."""
+    table, late = flight(5), round(0.15 * 200.0)
+    table["acc_z"] = np.roll(table["acc_z"], late)
+    felt_late = read_flight_log(write(table[late:-late], tmp_path / "felt_late.csv"))
+    check_rotor_clock(felt_late, ROBOT, 10.0)
+    with pytest.raises(DataError, match="lead the accelerometer by 150 ms"):
+        check_rotor_clock(replace(felt_late, ang_vel=None), ROBOT, 10.0)
+    table = flight(5)
+    table[ROTORS] = np.roll(table[ROTORS], -late, axis=0)
+    with pytest.raises(DataError, match=r"lead the accelerometer by 1[345]0 ms"):
+        check_rotor_clock(read_flight_log(write(table[late:-late], tmp_path / "rotors.csv")), ROBOT, 10.0)
