@@ -67,6 +67,11 @@ class Candidate:
     of_flights: bool = False
     """Whether it is a structure that is each flight's own."""
 
+    @property
+    def in_common(self) -> bool:
+        """Return whether it is a structure that flights have in common: a robot file would have to hold it, and cannot."""
+        return self.structure and not self.of_flights
+
 
 @dataclass(frozen=True, kw_only=True)
 class Library:

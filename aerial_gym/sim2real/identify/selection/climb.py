@@ -114,7 +114,7 @@ class View:
         behind, here = self.sets.look([model, self.here])
         if self.known(label_in(self.library, model)):
             return
-        beside = any(self.library.candidates[k].structure and not self.library.candidates[k].of_flights for k in model)
+        beside = any(self.library.candidates[k].in_common for k in model)
         compared = self.compared(beside=beside)
         if however_far or self.present.log_posterior - (here - behind) / MOST_TO_PROMISE > compared.least:
             self.add(self.fitter.fit_of(self.library, self.sets, model, self.structures, compared))
@@ -234,7 +234,7 @@ class Climber:
         structures, but for offsets of flights, have their own turn.
         """
         values = view.sets.log_posterior
-        structures = {k for k, one in enumerate(view.library.candidates) if one.structure and not one.of_flights}
+        structures = {k for k, one in enumerate(view.library.candidates) if one.in_common}
         order = sorted(values, key=values.__getitem__, reverse=True)
         bare, seen = [model for model in order if not structures.intersection(model)], set[Label]()
         for turn, best_of_turn in ((order, lambda: view.best), (bare, lambda: view.best_bare)):
