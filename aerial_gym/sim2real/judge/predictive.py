@@ -32,6 +32,9 @@ from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 
+MANY = 1e9
+"""Degrees of freedom of a variance that is known."""
+
 PASSES = 3
 """Of weighing the test flights by what is left of them."""
 
@@ -41,7 +44,8 @@ def left_open(
 ) -> tuple[Array, Array]:
     """Return the largest mean square of each channel that tolerances and named effects may leave on test flights, (C,).
 
-    And the same with the offsets of test flights, which are as large as training flights have them of their own.
+    And the same with the offsets of test flights, which are as large as training flights have them of their own: the standard
+    deviation of a few flights is not much of a number, they may be alike by chance, but none is larger than ``most``.
 
     Larger ones have the probability ``Criteria.significance``. Parameters of named effects that training does not show have a
     standard deviation of their scale. Where training flights are predicted down to noise, parameters that scatter between
@@ -73,14 +77,20 @@ def left_open(
     columns = jacobian[:, :, chosen]
     mean_product = np.einsum("rck,rcl->ckl", columns, columns) / columns.shape[0]
     rows = np.array([time.size for time in test.times])
-    offsets = selection.own_offsets.size[:, None, None] ** 2 * np.diag(rows / rows.sum())
-    with_offsets = np.stack([beside(one, own) for one, own in zip(mean_product, offsets, strict=True)])
+    found, significance = selection.own_offsets, selection.criteria.significance
+    flights = np.unique(fit.moments.flight).size
+
+    def with_offsets(size: Array, covariance: Array, freedom: float) -> Array:
+        offsets = size[:, None, None] ** 2 * np.diag(rows / rows.sum())
+        products = np.stack([beside(one, other) for one, other in zip(mean_product, offsets, strict=True)])
+        whole = beside(covariance, np.eye(rows.size))
+        return quantile_of_squares(products, whole, significance, estimated=rows.size, freedom=freedom)
 
     def limits(covariance: Array) -> tuple[Array, Array]:
-        both = beside(covariance, np.eye(rows.size))
+        estimated = with_offsets(found.size, covariance, max(1, flights - 1))
         return (
-            quantile_of_squares(mean_product, covariance, selection.criteria.significance),
-            quantile_of_squares(with_offsets, both, selection.criteria.significance),
+            quantile_of_squares(mean_product, covariance, significance),
+            np.minimum(estimated, with_offsets(found.most, covariance, MANY)),
         )
 
     by_scatter, by_noise = limits(covariance * np.outer(wider, wider)), limits(covariance)
@@ -95,18 +105,29 @@ def beside(one: Array, other: Array) -> Array:
     return np.block([[one, across], [across.T, other]])
 
 
-def quantile_of_squares(product: Array, covariance: Array, significance: float) -> Array:
+def quantile_of_squares(
+    product: Array, covariance: Array, significance: float, *, estimated: int = 0, freedom: float = MANY
+) -> Array:
     """Return what ``d^T M d`` exceeds with a probability, for each M of ``product`` (C, K, K) and normal d, (C,).
+
+    Args:
+        product: M.
+        covariance: Of d, (K, K).
+        significance: The probability.
+        estimated: Of how many of d, the last ones, the size is itself estimated.
+        freedom: With how many degrees of freedom.
 
     Source:
         Satterthwaite (1946), An approximate distribution of estimates of variance components, Biometrics Bulletin 2: as a
-        multiple of chi-square with the same mean and variance, ``tr(M S)`` and ``2 tr((M S)²)``.
+        multiple of chi-square with the same mean and variance, ``tr(M S)`` and ``2 tr((M S)²)``; and what is put in the place
+        of ``tr(M S)`` as another, which together are distributed as F.
     """
     spread = product @ covariance
-    mean = np.maximum(np.einsum("ckk->c", spread), 1e-300)
-    freedom = mean**2 / np.maximum(np.einsum("ckl,clk->c", spread, spread), 1e-300)
-    freedom = np.maximum(freedom, 1.0)
-    return mean * stats.chi2.isf(significance, freedom) / freedom
+    means = np.einsum("ckk->ck", spread)
+    mean = np.maximum(means.sum(axis=1), 1e-300)
+    own = np.maximum(mean**2 / np.maximum(np.einsum("ckl,clk->c", spread, spread), 1e-300), 1.0)
+    share = means[:, means.shape[1] - estimated :].sum(axis=1) / mean
+    return mean * stats.f.isf(significance, own, np.minimum(MANY, freedom / np.maximum(share, 1e-9) ** 2))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -58,6 +58,9 @@ class Nuisance:
     size: float
     """One unit, in units of the channel (rms): all that the declared model misses there, or how much flights differ."""
 
+    most: float = np.inf
+    """How large ``size`` can be, where it is how much flights differ."""
+
     freq_hz: float | None = None
     """Of a tone [Hz]."""
 
@@ -120,8 +123,9 @@ def structures_of(
 
 def offsets_of(structures: Sequence[Nuisance], channels: Sequence[Channel], weight: Array) -> OwnOffsets:
     """Return those of some structures that are each flight's own; ``weight`` is that of a row of each channel, (C,)."""
-    sizes = {structure.channel: structure.size for structure in structures if structure.of_flights}
-    return OwnOffsets(size=np.array([sizes.get(channel.name, 0.0) for channel in channels]), weight=weight)
+    own = {structure.channel: (structure.size, structure.most) for structure in structures if structure.of_flights}
+    size, most = np.array([own.get(channel.name, (0.0, 0.0)) for channel in channels]).T
+    return OwnOffsets(size=size, weight=weight, most=most)
 
 
 def functions_of(kind: str, flights: Sequence[Flight], times: Sequence[Array]) -> list[Array]:
@@ -181,7 +185,7 @@ def _offsets(channels: Sequence[Channel], present: Sequence[Array], most: Array)
         return []
     sizes = np.minimum(np.std([part.mean(axis=0) for part in present], axis=0, ddof=1), most)
     found = []
-    for place, (channel, size) in enumerate(zip(channels, sizes.tolist(), strict=True)):
+    for place, (channel, size, limit) in enumerate(zip(channels, sizes.tolist(), most.tolist(), strict=True)):
         if not size:
             continue
         columns = []
@@ -189,7 +193,7 @@ def _offsets(channels: Sequence[Channel], present: Sequence[Array], most: Array)
             values = np.zeros((len(part), 1, len(present)), dtype=np.float32)
             values[:, 0, number] = size
             columns.append(InChannels(values=values, channels=(place,)))
-        found.append(Nuisance(kind=OF_FLIGHTS, channel=channel.name, columns=columns, size=size))
+        found.append(Nuisance(kind=OF_FLIGHTS, channel=channel.name, columns=columns, size=size, most=limit))
     return found
 
 

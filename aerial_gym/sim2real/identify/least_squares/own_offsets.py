@@ -28,6 +28,9 @@ class OwnOffsets:
     weight: Array
     """Of one row, w, (C,)."""
 
+    most: Array
+    """How large s is at most, whatever the flights of which it was estimated, (C,)."""
+
     @property
     def any(self) -> bool:
         """Return whether there are any."""
@@ -53,4 +56,4 @@ class OwnOffsets:
 
 def no_offsets(weight: Array) -> OwnOffsets:
     """Return those of flights that have none, with the weight of one row, (C,)."""
-    return OwnOffsets(size=np.zeros(weight.size), weight=weight)
+    return OwnOffsets(size=np.zeros(weight.size), weight=weight, most=np.zeros(weight.size))

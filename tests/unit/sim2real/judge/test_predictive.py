@@ -12,7 +12,7 @@ from aerial_gym.interop import one_thread
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.moments import weights_from
-from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets
+from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets, no_offsets
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.judge.predictive import left_open, quantile_of_squares
 from aerial_gym.sim2real.judge.unexplained import Unexplained, find_unexplained
@@ -43,6 +43,19 @@ def test_the_quantile_is_exact_for_one_direction_and_for_equal_ones_and_near_it_
     assert between[0] == pytest.approx(np.quantile((draws**2).sum(axis=1), 0.99), rel=0.05)
 
 
+def test_the_quantile_allows_for_a_size_that_is_estimated() -> None:
+    """One offset whose size is that of n others: F, exactly. Beside known ones as large: against 400,000 draws, 10 %."""
+    exact = quantile_of_squares(np.eye(1)[None], 4.0 * np.eye(1), 0.01, estimated=1, freedom=3)
+    np.testing.assert_allclose(exact, 4.0 * 34.1162, rtol=1e-5)
+    rng = np.random.default_rng(1)
+    known, size = rng.standard_normal((400_000, 3)), rng.chisquare(6, 400_000) / 6
+    ratio = ((known[:, :2] ** 2).sum(axis=1) + known[:, 2] ** 2) / (2.0 + size) * 3.0
+    found = quantile_of_squares(np.eye(3)[None], np.eye(3), 0.01, estimated=1, freedom=6)
+    assert found[0] == pytest.approx(np.quantile(ratio, 0.99), rel=0.1)
+    none = quantile_of_squares(np.eye(3)[None], np.diag([1.0, 1.0, 0.0]), 0.01, estimated=1, freedom=1)
+    np.testing.assert_allclose(none, 9.2103404, rtol=1e-6)
+
+
 def judged(
     folder,
     inertia: float,
@@ -51,11 +64,12 @@ def judged(
     drag: float = 0.0,
     looked_for: tuple[str, ...] = tuple(EFFECTS),
     own: Mapping[str, float] = MappingProxyType({}),
+    most: float = 0.15,
     more: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> Unexplained:
     """Return what is left of a flight whose inertia is declared wrongly by a factor, with a drag, after flights without it.
 
-    ``own``: how large offsets of single flights are, by channel; ``more`` is felt along x in the last flight, at a time [s].
+    ``own``: how large offsets of single flights seem, and ``most`` may be; ``more`` is felt along x in the last, at a time [s].
     """
     body = replace(ROBOT.body, inertia=tuple(tuple(inertia * value for value in row) for row in ROBOT.body.inertia))
     robot: RobotCfg = replace(ROBOT, body=body)
@@ -93,7 +107,11 @@ def judged(
         accepted=(),
         surrogates={},
         looked_for=looked_for,
-        own_offsets=OwnOffsets(size=np.array([own.get(c.name, 0.0) for c in channels]), weight=weights.weight),
+        own_offsets=OwnOffsets(
+            size=np.array([own.get(c.name, 0.0) for c in channels]),
+            weight=weights.weight,
+            most=np.full(len(channels), most),
+        ),
         left_out=SimpleNamespace(tolerated=np.sqrt(squares)),
     )
     floor = noise_floor(robot, test.flights, declared, channels, bandwidth=10.0)
@@ -131,7 +149,7 @@ def test_a_parameter_is_no_surer_on_test_flights_than_its_interval(tmp_path) -> 
             final=SimpleNamespace(fit=fit, spread=spread),
             weights=weights,
             criteria=Criteria(),
-            own_offsets=OwnOffsets(size=np.zeros(len(channels)), weight=weights.weight),
+            own_offsets=no_offsets(weights.weight),
         )
         within, whole = left_open(predictor, point, selection)  # type: ignore[arg-type]
         np.testing.assert_allclose(within, whole, rtol=1e-9)
@@ -168,6 +186,16 @@ def test_an_offset_as_large_as_those_of_other_flights_is_open_and_what_moves_is_
     assert (as_others.channels, as_others.left_open) == ((), ())
     assert as_others.of_flights == ("specific_force.x",)
     assert "specific_force.x" in moving.channels
+
+
+def test_offsets_that_are_alike_by_chance_say_little_and_none_is_larger_than_it_may_be(tmp_path) -> None:
+    """0.2 m/s² in the test flight beside 0.03 in three others: with two degrees of freedom no news, unless 0.04 is the most."""
+    own, more = {"specific_force.x": 0.03}, lambda time: np.full(time.size, 0.2)
+    with one_thread():
+        few = judged(tmp_path, 1.0, still=False, more=more, own=own)
+        bounded = judged(tmp_path, 1.0, still=False, more=more, own=own, most=0.04)
+    assert (few.channels, few.of_flights) == ((), ("specific_force.x",))
+    assert "specific_force.x" in bounded.channels
 
 
 def test_what_training_shows_is_not_open(tmp_path) -> None:

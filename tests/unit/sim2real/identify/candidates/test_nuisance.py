@@ -41,7 +41,9 @@ def test_an_offset_of_a_flight_is_a_constant_of_that_flight_as_large_as_flights_
         np.testing.assert_allclose(columns.in_channel(0), expected, rtol=1e-6)
         assert columns.in_channel(1).shape == (40, 0)
     weight = np.array([1.0, 2.0, 3.0])
-    np.testing.assert_allclose(offsets_of(found, CHANNELS, weight).size, [0.2, 0.5, 0.0])
+    own = offsets_of(found, CHANNELS, weight)
+    np.testing.assert_allclose(own.size, [0.2, 0.5, 0.0])
+    np.testing.assert_allclose(own.most, [1.0, 0.5, 0.0])
 
 
 def test_one_flight_alone_has_no_offset_of_its_own() -> None:

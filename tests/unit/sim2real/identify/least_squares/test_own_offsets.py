@@ -15,7 +15,7 @@ def flights(rng: np.random.Generator) -> tuple[list[np.ndarray], list[np.ndarray
 def test_products_are_those_under_the_covariance_of_rows_that_share_an_offset() -> None:
     """``J^T (1 / w + s² 1 1^T)^-1 r`` by the inverse itself, channel by channel; the second channel has no offset."""
     residuals, jacobians = flights(np.random.default_rng(1))
-    offsets = OwnOffsets(size=np.array([0.7, 0.0]), weight=np.array([4.0, 2.0]))
+    offsets = OwnOffsets(size=np.array([0.7, 0.0]), weight=np.array([4.0, 2.0]), most=np.ones(2))
     for r, j, out, along in zip(
         residuals, jacobians, offsets.taken_out(residuals), offsets.taken_out(jacobians), strict=True
     ):
@@ -32,7 +32,7 @@ def test_it_is_what_is_left_of_a_column_for_each_flight() -> None:
     """As the selection has it: a column of each flight with a normal prior, integrated out of the sums."""
     residuals, jacobians = flights(np.random.default_rng(2))
     size, weight = 0.4, 3.0
-    offsets = OwnOffsets(size=np.array([size, 0.0]), weight=np.array([weight, weight]))
+    offsets = OwnOffsets(size=np.array([size, 0.0]), weight=np.array([weight, weight]), most=np.ones(2))
     product, gradient, constant = np.zeros((6, 6)), np.zeros(6), 0.0
     for place, (r, j) in enumerate(zip(residuals, jacobians, strict=True)):
         for channel in range(2):
@@ -56,7 +56,7 @@ def test_it_is_what_is_left_of_a_column_for_each_flight() -> None:
 
 def test_without_offsets_nothing_changes() -> None:
     residuals, _ = flights(np.random.default_rng(3))
-    offsets = OwnOffsets(size=np.zeros(2), weight=np.ones(2))
+    offsets = OwnOffsets(size=np.zeros(2), weight=np.ones(2), most=np.ones(2))
     assert not offsets.any
     for before, after in zip(residuals, offsets.taken_out(residuals), strict=True):
         assert after is before
