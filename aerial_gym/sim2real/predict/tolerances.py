@@ -53,7 +53,7 @@ class Tolerances:
     attitude: float = 0.01
     """Turn of the logged attitude against the body, about each axis [rad]: markers are aligned by eye, autopilots by a level.
 
-    It turns what attitude and velocity say of forces and rates; by how little airspeed is seen from other axes is let be.
+    It turns what attitude and velocity say of forces and rates, the airspeed, and what hangs on the vehicle.
     """
 
     nominal_voltage: float = 0.003
@@ -196,7 +196,12 @@ def answered_noise(deviation: Tensor) -> Tensor:
 
 def attitude_turn(tolerances: Tolerances, deviation: Tensor) -> Tensor:
     """Return the matrix that turns the axes of the logged attitude into those of the body, (3, 3)."""
-    return quat_to_matrix(quat_from_euler(tolerances.attitude * turned(deviation)))
+    return quat_to_matrix(attitude_error(tolerances, deviation))
+
+
+def attitude_error(tolerances: Tolerances, deviation: Tensor) -> Tensor:
+    """Return the rotation from the axes of the logged attitude to those of the body, (4,)."""
+    return quat_from_euler(tolerances.attitude * turned(deviation))
 
 
 def turned(deviation: Tensor) -> Tensor:

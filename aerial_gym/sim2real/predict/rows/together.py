@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
+from aerial_gym.math.quaternion import quat_conjugate, quat_multiply, quat_rotate, quat_rotate_inverse
 from aerial_gym.math.rows import times
 from aerial_gym.physics import (
     Accelerations,
@@ -59,6 +59,7 @@ from aerial_gym.sim2real.predict.rows.in_band import InBand, columns_of
 from aerial_gym.sim2real.predict.tolerances import (
     Tolerances,
     answered_noise,
+    attitude_error,
     attitude_turn,
     command_shift,
     deviate,
@@ -181,7 +182,9 @@ class Together:
         acting = acting_in(model, condition, self._forces, apart=True, hubs=hubs)
         acting = with_fluid(model, condition, acting)
         if model.effects[LoadEffect]:
-            acting.wrenches.append(("load", self._pull(flown, self._hanging(flown, condition, remembered, asked))))
+            acting.wrenches.append(
+                ("load", self._pull(flown, asked, self._hanging(flown, condition, remembered, asked)))
+            )
         about = None if hubs is None else hubs.vehicle.com[0]
         felt = self._in_band.felt(model, condition.rotor_speed, acting, about=about)
         return self._read(model, felt, asked.deviation)
@@ -247,7 +250,8 @@ class Together:
         key = (*names, *(numbers.numpy().tobytes() for numbers in (*rows, *others)))
         if self._hung is not None and self._hung.key == key and self._hung.speeds is asked.speeds:
             return self._hung
-        state, attitude = BodyState(rotor_speed=condition.rotor_speed, **self.data.state), self.data.state["attitude"]
+        state = BodyState(rotor_speed=condition.rotor_speed, **self._state(asked))
+        attitude = state.attitude
         alone = replace(model, effects=model.effects.without(LoadEffect))
         found = accelerations(alone, state, remembered=remembered, condition=condition, answers=self._forces)
         missed, force = None, found.specific_force
@@ -262,9 +266,9 @@ class Together:
         )
         return self._hung
 
-    def _pull(self, model: Model, hanging: _Hanging) -> Tensor:
+    def _pull(self, model: Model, asked: _Asked, hanging: _Hanging) -> Tensor:
         """Return force and torque of the load in every row, body, (E, 6)."""
-        attitude, load = self.data.state["attitude"], self._load_replay.loads(model, hanging.missed)
+        attitude, load = self._state(asked)["attitude"], self._load_replay.loads(model, hanging.missed)
         force, torque, _ = pull_at(model, attitude, hanging.suspension, load)
         return torch.cat((quat_rotate_inverse(attitude, force), torque), dim=-1)
 
@@ -282,11 +286,20 @@ class Together:
         model = expand_model(asked.model, self.data.state["attitude"].shape[0])
         return with_known_wind(model, self.data.flights, self.data.flight)
 
+    def _state(self, asked: _Asked) -> dict[str, Tensor]:
+        """Return the motion in every row, with the attitude of the body where the logged one is turned against it."""
+        state = self.data.state
+        if not turned(asked.deviation).any():
+            return state
+        back = quat_conjugate(attitude_error(self.tolerances, asked.deviation))
+        return {**state, "attitude": quat_multiply(state["attitude"], back.expand_as(state["attitude"]))}
+
     def _condition(self, model: Model, asked: _Asked, *, at_origin: bool = False) -> Condition:
         """Return what the effects of a model see in every row; ``at_origin``: those at hubs (``condition_at_origin``)."""
-        motion = rotor_motion(asked.deviation)
+        motion, turn = rotor_motion(asked.deviation), turned(asked.deviation)
         speeds = asked.speeds if self.data.speed is None else None
-        key = (at_origin, *_seen_by_condition(model, at_origin=at_origin), motion.numpy().tobytes())
+        numbers = torch.cat((motion, turn)).numpy().tobytes()
+        key = (at_origin, *_seen_by_condition(model, at_origin=at_origin), numbers)
         known = self._conditions.get(key)
         if known is not None and known[0] is speeds:
             self._conditions.move_to_end(key)
@@ -294,7 +307,7 @@ class Together:
             return condition_for(vehicle, known[1])
         speed, spin_up = self._turning(model, speeds, motion)
         make = condition_at_origin if at_origin else condition_in
-        found = make(model, BodyState(rotor_speed=speed, **self.data.state), spin_up)
+        found = make(model, BodyState(rotor_speed=speed, **self._state(asked)), spin_up)
         self._conditions[key] = speeds, found
         while len(self._conditions) > CONDITIONS:
             self._conditions.popitem(last=False)

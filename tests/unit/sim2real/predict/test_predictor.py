@@ -5,6 +5,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
@@ -403,31 +404,58 @@ def test_a_gyro_that_is_off_within_its_tolerance_shows_in_the_kinematic_rate_alo
         np.testing.assert_allclose(moved[:, place], expected, atol=1e-12, err_msg=channel.name)
 
 
-@pytest.mark.parametrize("accelerometer", [True, False])
-def test_an_attitude_that_is_off_within_its_tolerance_is_turned_back(tmp_path: Path, accelerometer: bool) -> None:
-    """A log whose attitude is turned against the body by 2 and -1 tolerances leaves what the aligned one does, in its axes.
-
-    But for the drag of an airspeed that is seen from other axes: the flight has none.
-    """
-    table = flight(3) if accelerometer else flight(3).drop(columns=["acc_x", "acc_y", "acc_z"])
-    turn = Rotation.from_euler("xyz", [0.0, 0.02, -0.01])  # log to body axes
-    logged = table.copy()
-    columns = ["q_x", "q_y", "q_z", "q_w"]
+def turned_log(table: pd.DataFrame, turn: Rotation, folder: Path) -> tuple[Flight, Flight]:
+    """Return a flight as it was, and with its logged attitude turned against the body."""
+    logged, columns = table.copy(), ["q_x", "q_y", "q_z", "q_w"]
     logged[columns] = (Rotation.from_quat(table[columns].to_numpy()) * turn).as_quat()
     aligned, off = (
-        complete_flight(uniform_log(read_flight_log(write(one, tmp_path / f"{name}.csv"))))
+        complete_flight(uniform_log(read_flight_log(write(one, folder / f"{name}.csv"))))
         for name, one in (("aligned", table), ("off", logged))
     )
+    return aligned, off
+
+
+def two_and_one() -> np.ndarray:
+    """Return what turns such a log back by 0.02 rad about y and -0.01 rad about z."""
     deviation = np.zeros(len(names := Tolerances().names(4)))
     deviation[names.index("attitude_y")], deviation[names.index("attitude_z")] = 2.0, -1.0
+    return deviation
+
+
+@pytest.mark.parametrize("accelerometer", [True, False])
+def test_an_attitude_that_is_off_within_its_tolerance_is_turned_back(tmp_path: Path, accelerometer: bool) -> None:
+    """A log whose attitude is turned against the body by 2 and -1 tolerances leaves what the aligned one does, in its axes."""
+    table = flight(3) if accelerometer else flight(3).drop(columns=["acc_x", "acc_y", "acc_z"])
+    turn = Rotation.from_euler("xyz", [0.0, 0.02, -0.01])  # log to body axes
+    aligned, off = turned_log(table, turn, tmp_path)
     left, channels = residual(aligned, ModelParams()), find_channels([aligned])
-    plain, turned_back = residual(off, ModelParams()), residual(off, ModelParams(deviation=deviation))
+    plain, turned_back = residual(off, ModelParams()), residual(off, ModelParams(deviation=two_and_one()))
     kinds = [channel.kind for channel in channels]
     kind = "kinematic_force" if accelerometer else "specific_force"
     places = [place for place, name in enumerate(kinds) if name == kind]
     as_seen = left[:, places] if accelerometer else turn.apply(left[:, places], inverse=True)
     assert np.abs(plain[:, places[0]] - as_seen[:, 0]).mean() == pytest.approx(0.02 * 9.81, rel=0.1)
     np.testing.assert_allclose(turned_back[:, places], as_seen, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    "params",
+    [
+        {"rotor_drag": np.array([0.5, 0.0, 0.0])},
+        {"constant_wind": np.array([3.0, -2.0, 1.0]), "quadratic_drag": np.array([0.3, 0.0, 0.1])},
+        {"slung_payload": np.array([0.05, 0.4, 0.1])},
+    ],
+)
+def test_an_attitude_that_is_off_turns_the_airspeed_and_what_hangs(
+    tmp_path: Path, params: dict[str, np.ndarray]
+) -> None:
+    """What the body feels of a drag, of a wind, of a load is what it feels with the attitude as it was; not without."""
+    aligned, off = turned_log(flight(3, drag=0.2), Rotation.from_euler("xyz", [0.0, 0.02, -0.01]), tmp_path)
+    point, back = ModelParams(effects=params), ModelParams(effects=params, deviation=two_and_one())
+    felt = [channel.kind in ("specific_force", "angular_acceleration") for channel in find_channels([aligned])]
+    as_was, without, found = (residual(*case)[:, felt] for case in ((aligned, point), (off, point), (off, back)))
+    assert np.abs(without - as_was).max() > 0.01
+    np.testing.assert_allclose(found, as_was, atol=1e-6 + 0.02 * np.abs(without - as_was).max())
 
 
 def test_the_noise_floor_is_the_residual_of_a_perfect_model(tmp_path: Path) -> None:
