@@ -268,6 +268,8 @@ class Effect(ABC):
     """What of the scene it needs."""
     follows: ClassVar[tuple[Literal["position", "velocity", "voltage"], ...]] = ()
     """On what its force depends, so that an imperfect law leaves a residual which follows it."""
+    told_by_torques: ClassVar[bool] = False
+    """Whether torques tell it from what else pushes alike: without them it is not looked for."""
     logged: ClassVar[tuple[Literal["battery"], ...]] = ()
     """What a log must hold in place of its memory."""
     rotors: ClassVar[tuple[RotorTrait, ...]] = ("slew", "dead_band")

@@ -26,6 +26,7 @@ class ComOffset(VehicleEffect):
     )
     excitation = "x and y: any thrust; z: angular acceleration or rate together with the accelerometer"
     confused_with = ("weak_motor", "motor_tilt", "imu_bias")
+    told_by_torques = True
     rotors = ANY_ROTOR
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:

@@ -28,6 +28,7 @@ class MotorTilt(VehicleEffect):
     )
     excitation = "thrust of that rotor that varies; yaw tells it from a shifted centre of mass"
     confused_with = ("com_offset", "weak_motor", "imu_misalignment", "torque_ratio")
+    told_by_torques = True
     rotors = ANY_ROTOR
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:

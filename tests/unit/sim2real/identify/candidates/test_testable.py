@@ -1,10 +1,25 @@
-"""What flights can test: where parameters end."""
+"""What flights can test: effects that need torques, and where parameters end."""
+
+from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from aerial_gym.sim2real.identify.candidates.testable import at_bounds
+from aerial_gym.sim2real.identify.candidates.testable import at_bounds, lacks
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from tests.unit.sim2real.flat_flights import ROBOT
+from tests.unit.sim2real.predict.test_scene import hover
+
+
+@pytest.mark.parametrize("name", ["com_offset", "motor_tilt"])
+def test_what_torques_tell_is_not_looked_for_where_none_are_compared(name: str) -> None:
+    """A log without torques among others is enough, one of the test flights as well; forces have their own effects."""
+    whole = hover("a", 5.0)
+    without = replace(whole, gyro=False)
+    assert lacks(name, ROBOT, [whole], [whole]) == ""
+    for train, test in (([whole, without], [whole]), ([whole], [without])):
+        assert "torques are not compared" in lacks(name, ROBOT, train, test)
+    assert lacks("rotor_drag", ROBOT, [without]) == ""
 
 
 def test_a_parameter_that_ends_where_physics_does_is_told() -> None:
