@@ -24,7 +24,9 @@ def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Fl
     if effect.kind is ImuEffect and not any(flight.accelerometer or flight.gyro for flight in train):
         return "the logs hold no inertial sensor: forces are derived from the velocity"
     if effect.told_by_torques and not all(flight.gyro for flight in flights):
-        return "forces alone do not tell it from a drag or a misaligned sensor: torques are not compared in these flights"
+        return (
+            "forces alone do not tell it from a drag or a misaligned sensor: torques are not compared in these flights"
+        )
     if reason := missing_in_logs(effect, flights) or lacks_of_scene(name, flights) or too_steady(effect, train):
         return reason
     try:

@@ -22,6 +22,7 @@ from aerial_gym.sim2real.identify.candidates.library import Library
 from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal, posterior
 from aerial_gym.sim2real.identify.evidence.linear import LinearFit, candidates_of, normal_of
 from aerial_gym.sim2real.identify.evidence.search import Sets
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import WEAK_PRIOR
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -45,6 +46,9 @@ class Support:
 
     size: int
     """Number P of its parameters."""
+
+    shown: bool = True
+    """Whether flights tell any of them better than by its scale, whatever they may be."""
 
     @property
     def robust_log_odds(self) -> float:
@@ -111,6 +115,8 @@ def supports(
     precision = np.ones(columns.size)
     precision[:count] = 2.0 / (1.0 + step[:count] ** 2)  # of the Cauchy prior there
     covariance = np.linalg.inv(whole.product[np.ix_(columns, columns)] + np.diag(precision))
+    weak = np.concatenate((np.full(count, WEAK_PRIOR**-2), np.ones(columns.size - count)))
+    plain = np.linalg.inv(whole.product[np.ix_(columns, columns)] + np.diag(weak))
     scores = np.stack([part.gradient[columns] - part.product[np.ix_(columns, columns)] @ step for part in parts])
     robust = covariance @ (scatter(scores) + np.diag(precision)) @ covariance
     found = {}
@@ -122,6 +128,7 @@ def supports(
             wald=float(step[own] @ np.linalg.solve(covariance[block], step[own])),
             overdispersion=float(np.trace(np.linalg.solve(covariance[block], robust[block]))) / own.size,
             size=own.size,
+            shown=bool((np.diag(plain)[own] <= 1.0).any()),
         )
     return found
 

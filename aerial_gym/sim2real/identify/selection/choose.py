@@ -150,6 +150,7 @@ class _Chooser:
         surrogates = self.varying(present, view.fitter)
         named, ends = view.fitter.in_file(self.bare(present, surrogates, fits, view.fitter))
         named, unsure = self.told_from_nothing(named, present, view.fitter)
+        named, blind = self.shown(named, view.fitter)
         named, immaterial, without = self.without_trifles(named, view.fitter)
         refused = {
             name: f"probable if noise were all (log odds {found.log_odds:.0f}), not as far as flights agree on it, or only "
@@ -162,6 +163,7 @@ class _Chooser:
             else "told from nothing only beside what is not"
             for name, odds in unsure.items()
         }
+        refused |= dict.fromkeys(blind, "these flights leave every parameter of it unknown by more than its scale")
         away = (*named.effects, *surrogates, *immaterial)
         shown = {candidate.name for candidate in seen_candidates(view.library)}
         return Chosen(
@@ -207,6 +209,14 @@ class _Chooser:
         left = fitter.held(fitted, lambda one: one.holds and min(odds_in(one).values(), default=np.inf) > LEAST_SCORE)
         return left, {name: odds for name, odds in odds_in(fitted).items() if name not in left.effects}
 
+    def shown(self, fitted: Fitted, fitter: Fitter) -> tuple[Fitted, list[str]]:
+        """Return what is left of a set without effects of which flights show no parameter, and those.
+
+        They may be probable by what is together with another one; a robot file would hold them with no effect.
+        """
+        left = fitter.held(fitted, lambda one: one.holds and all(found.shown for found in one.support.values()))
+        return left, [name for name, found in fitted.support.items() if not found.shown and name not in left.effects]
+
     def adds(self, view: View) -> dict[str, float]:
         """Return what speaks for each other effect on top of the present set, best of its starts."""
         found: dict[str, float] = {}
@@ -245,7 +255,8 @@ class _Chooser:
     def varying(self, present: Fitted, fitter: Fitter) -> dict[str, str]:
         """Return the effects whose size follows a structure that remains, and what it follows: they only stand in for it.
 
-        Never an effect that by its nature follows the same: its law may be off, but its name is right.
+        As far as flights agree on it, and told from an effect of one size as two effects are told apart. Never an effect that
+        by its nature follows the same: its law may be off, but its name is right.
         """
         predictor, found = self.predictor, {}
         predicted = predictor.predict(present.params)
@@ -273,6 +284,6 @@ class _Chooser:
             for beside in (present.structures, rest):
                 varied, parameters = log_posterior(beside, columns)
                 share = float(np.sqrt((parameters.step[-columns[0].shape[2] :] ** 2).sum()))
-                if varied - fitter.log_names > steady and share > STEADY:
+                if varied - fitter.log_names - steady > reach_of(present) and share > STEADY:
                     found[name] = kind
         return found

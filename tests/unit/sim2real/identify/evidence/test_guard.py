@@ -44,6 +44,13 @@ def test_a_distance_counts_over_the_larger_of_two_variances() -> None:
     assert not replace(one, overdispersion=20.0).holds
 
 
+@pytest.mark.parametrize(("rows", "shown"), [(ROWS, True), (0.9, False), (0.0, False)])
+def test_a_parameter_is_shown_where_flights_tell_it_better_than_by_its_scale(rows: float, shown: bool) -> None:
+    """A mean of ``rows`` rows of a standard deviation of one scale; what is far from neutral shows no better for it."""
+    whole = Normal(product=np.full((1, 1), rows), gradient=np.array([50.0 * rows]))
+    assert supports(candidates(1), whole, of_flights(np.full(4, 50.0)), {0: 100.0})[0].shown is shown
+
+
 def library(values: Array) -> Library:
     """Return candidates of one parameter each, orthogonal to each other, for which flights ask for values (F, K);
     the tolerance behind them does nothing.

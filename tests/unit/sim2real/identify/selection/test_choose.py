@@ -1,5 +1,6 @@
 """The most probable set of effects of exact flights with a known cause."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,12 +10,14 @@ import pytest
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted, Fitter
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import scales
 from aerial_gym.sim2real.identify.selection.choose import Chosen, _Chooser, choose_effects
+from aerial_gym.sim2real.identify.selection.climb import Climber
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.predict.channels import Channel, find_channels
 from aerial_gym.sim2real.predict.model_params import declared_params
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
+from aerial_gym.sim2real.progress import silent
 from tests.unit.sim2real.fitted_sets import PLACE, Made, fitted
 from tests.unit.sim2real.flat_flights import ROBOT, flight
 
@@ -35,14 +38,18 @@ def chosen(
     folder: Path, names: tuple[str, ...] = NAMES, rate: float = 200.0, material: float = MATERIAL, **hidden: float
 ) -> Chosen:
     """Return what three flights of 8 s with sensor noise make most probable."""
+    return choose_effects(flown(folder, rate, **hidden), declared_params(ROBOT), names, material=material)
+
+
+def flown(folder: Path, rate: float, **hidden: float) -> Predictor:
+    """Return three flights of 8 s with sensor noise."""
     files = []
     for seed in range(3):
         files.append(folder / f"flight_{seed}.csv")
         flight(seed, noise=1.0, seconds=8.0, rate=rate, **hidden).to_csv(files[-1], index=False)
     flights = load_flights(files, ROBOT, mapping=None, bandwidth=10.0)
     channels = find_channels(flights)
-    predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=channels, tolerances=Tolerances())
-    return choose_effects(predictor, declared_params(ROBOT), names, material=material)
+    return Predictor(ROBOT, flights, bandwidth=10.0, channels=channels, tolerances=Tolerances())
 
 
 def away(fitted: Fitted, name: str, truth: float) -> np.ndarray:
@@ -96,6 +103,17 @@ def test_an_effect_whose_size_follows_the_time_only_stands_in_for_what_does(tmp_
     found = chosen(tmp_path, FEW, 100.0, fading=0.08)
     assert found.effects == ()
     assert found.surrogates == {"thrust_coefficient": "time"}
+
+
+def test_a_size_that_follows_the_time_as_flights_do_not_agree_makes_no_stand_in(tmp_path: Path) -> None:
+    """The same flights; but where parameters scatter between flights 1e5 times as much as noise, little speaks for time."""
+    flights = flown(tmp_path, 100.0, fading=0.08)
+    climber = Climber(flights, declared_params(ROBOT), FEW, silent)
+    view = climber.run()
+    chooser = _Chooser(climber, MATERIAL)
+    assert chooser.varying(view.present, view.fitter) == {"thrust_coefficient": "time"}
+    scattered = {name: replace(one, overdispersion=1e5) for name, one in view.present.support.items()}
+    assert chooser.varying(replace(view.present, support=scattered), view.fitter) == {}
 
 
 @pytest.mark.slow
@@ -207,3 +225,13 @@ def test_the_set_is_chosen_again_when_an_effect_is_not_told_from_nothing() -> No
     found, unsure = object.__new__(_Chooser).told_from_nothing(both, both, Made(drag, tilt, fitted(log=-6.0)))
     assert found is tilt
     assert unsure == {"rotor_drag": 2.5}
+
+
+def test_an_effect_of_which_flights_show_no_parameter_has_no_name() -> None:
+    """Probable by what it does together with a drag; the best set without it is left, and it is said."""
+    both, drag = fitted("rotor_drag", "com_offset"), fitted("rotor_drag", log=-4.0)
+    hidden = both.support | {"com_offset": replace(both.support["com_offset"], shown=False)}
+    found, blind = object.__new__(_Chooser).shown(replace(both, support=hidden), Made(drag))
+    assert found is drag
+    assert blind == ["com_offset"]
+    assert object.__new__(_Chooser).shown(both, Made(drag)) == (both, [])
