@@ -26,7 +26,7 @@ from aerial_gym.sim2real.judge.experiments.design import (
 )
 from aerial_gym.sim2real.judge.outcome import Outcome, outcomes, said_first
 from aerial_gym.sim2real.judge.random_wind.gusts import NAME, declared_wind, with_random
-from aerial_gym.sim2real.judge.unexplained import Unexplained, find_unexplained, judges_forces
+from aerial_gym.sim2real.judge.unexplained import Unexplained, find_unexplained, judges_forces, rms_of
 from aerial_gym.sim2real.judge.verdict import NamedEffect, Verdict, decide, immaterial, named_effects
 from aerial_gym.sim2real.judge.whiteness import whiteness
 from aerial_gym.sim2real.logs.flights import Flight, notes_of, rigid_notes
@@ -114,7 +114,7 @@ def judge(refitted: Refitted, *, seed: int, learn_residual: bool, progress: Prog
         unexplained=unexplained.channels,
         whiteness=dict(zip((channel.name for channel in declared.channels), spectra, strict=True)),
         learned=learned,
-        notes=notes(refitted, unexplained, effects),
+        notes=notes(refitted, unexplained, effects, named),
     )
     accepted = (*selection.accepted, *(effect.name for effect in gusts))
     return Judged(
@@ -180,8 +180,13 @@ def decision(
     return kind, f"{reason}; {blind}", candidates
 
 
-def notes(refitted: Refitted, unexplained: Unexplained, effects: Sequence[NamedEffect]) -> tuple[str, ...]:
-    """Return what else a reader must know, what matters most first, and what was done to the logs."""
+def notes(
+    refitted: Refitted, unexplained: Unexplained, effects: Sequence[NamedEffect], named: Evaluation
+) -> tuple[str, ...]:
+    """Return what else a reader must know, what matters most first, and what was done to the logs.
+
+    ``named`` is what the named effects leave of the test flights.
+    """
     declared = refitted.declared
     return (
         *rigid_notes(declared.stated),
@@ -190,13 +195,29 @@ def notes(refitted: Refitted, unexplained: Unexplained, effects: Sequence[NamedE
         *immaterial(effects),
         *(rival.sentence for effect in effects for rival in effect.in_part),
         *refitted.refit.contradictions,
-        *declared.tolerances.strained(
-            unexplained.deviation, absent=absent_tolerances(declared, refitted.params), farthest=FARTHEST_DEVIATION
-        ),
+        *strained_notes(refitted, unexplained, named),
         *surrogate_notes(refitted.selection),
         *own_notes(refitted.selection),
         *about_logs(declared),
     )
+
+
+def strained_notes(refitted: Refitted, unexplained: Unexplained, named: Evaluation) -> list[str]:
+    """Return a note on each tolerance that is strained, and on what all deviations together change on the test flights."""
+    declared = refitted.declared
+    found = declared.tolerances.strained(
+        unexplained.deviation, absent=absent_tolerances(declared, refitted.params), farthest=FARTHEST_DEVIATION
+    )
+    if not found:
+        return []
+    least, changed = refitted.selection.criteria.material, []
+    rms = rms_of(unexplained.left).tolist()
+    for channel, value, bare in zip(declared.channels, rms, named.residual, strict=True):
+        if abs(value - bare.value) > least * bare.value:
+            changed.append(f"{channel.words} {value:.2g} in place of {bare.value:.2g} {channel.unit}")
+    if not changed:
+        return [*found, "with what is declared off by that much hardly anything changes on the test flights"]
+    return [*found, f"with what is declared off by that much the test flights are left {', '.join(changed)}"]
 
 
 def absent_tolerances(declared: Declared, params: ModelParams) -> set[str]:
