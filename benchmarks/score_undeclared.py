@@ -1,6 +1,6 @@
 """Does the loop name what the undeclared plant hides?
 
-    python -m benchmarks.score_undeclared --seeds 101 102 [--nuisance | --tracked] [--size moderate] [--json]
+    python -m benchmarks.score_undeclared --seeds 101 102 [--nuisance | --tracked | --logged] [--size moderate] [--json]
     python -m benchmarks.score_undeclared --seeds 101 102 --effects all --sizes small moderate large --unknown \
         --pairs com_offset+constant_wind --jobs 8 --out out/undeclared [--write TABLE.md]
 
@@ -29,7 +29,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from benchmarks.undeclared import EFFECTS, SIZES, TRACKED, UNKNOWN, make_case
+from benchmarks.undeclared import EFFECTS, LOGGED, SIZES, TRACKED, UNKNOWN, make_case
 from benchmarks.undeclared_table import markdown, right_line
 
 CLASSIC = tuple(EFFECTS)[:6]
@@ -72,6 +72,7 @@ class Job:
     seed: int
     nuisance: bool
     tracked: bool
+    logged: bool
     features: tuple[str, ...] = ()
     """Of the flights, beside those that the effects need."""
 
@@ -102,7 +103,7 @@ def score(job: Job) -> dict[str, object]:
                 folder / "case",
                 effects=dict.fromkeys(job.hidden, job.size),
                 seed=job.seed,
-                nuisance=TRACKED if job.tracked else job.nuisance,
+                nuisance=LOGGED if job.logged else TRACKED if job.tracked else job.nuisance,
                 features=job.features,
                 num_train=job.num_train,
                 num_test=job.num_test,
@@ -215,7 +216,9 @@ def plan_jobs(args: argparse.Namespace) -> list[Job]:
     if missing := sorted({name for case in cases for name in case} - set(known)):
         raise ValueError(f"no effect {missing}. Known: all, {', '.join(known)}")
     flights = sorted({tuple(sorted({f for name in case for f in known[name].needs})) for case in cases} | {()})
-    base = {name: getattr(args, name) for name in ("nuisance", "tracked", "num_train", "num_test", "duration_s")}
+    base = {
+        name: getattr(args, name) for name in ("nuisance", "tracked", "logged", "num_train", "num_test", "duration_s")
+    }
     jobs = []
     for seed in args.seeds:
         jobs += [Job(hidden=(), size="moderate", seed=seed, features=f, **base) for f in flights]
@@ -272,6 +275,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--nuisance", action="store_true", help="small errors everywhere, as real vehicles have")
     parser.add_argument(
         "--tracked", action="store_true", help="these, markers that are aligned by eye, a bias of each flight's own"
+    )
+    parser.add_argument(
+        "--logged", action="store_true", help="these, every sensor late, an accelerometer with a scale and a place"
     )
     parser.add_argument("--hover", action="store_true", help="also cases whose training flights only hover")
     parser.add_argument("--controls", action="store_true", help="only the controls of these cases")

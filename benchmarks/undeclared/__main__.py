@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from benchmarks.undeclared import EFFECTS, FEATURES, SIZES, TRACKED, UNKNOWN, Failure, make_case
+from benchmarks.undeclared import EFFECTS, FEATURES, LOGGED, SIZES, TRACKED, UNKNOWN, Failure, make_case
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -42,6 +42,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--nuisance", action="store_true", help="make mass, rotors, inertia and sensors slightly off")
     parser.add_argument("--tracked", action="store_true", help="and markers and, flight by flight, the accelerometer")
+    parser.add_argument("--logged", action="store_true", help="and sensors late, the accelerometer's scale and place")
     return parser
 
 
@@ -86,7 +87,7 @@ def main(argv: list[str] | None = None) -> int:
             num_train=args.num_train,
             num_test=args.num_test,
             duration_s=args.duration_s,
-            nuisance=TRACKED if args.tracked else args.nuisance,
+            nuisance=LOGGED if args.logged else TRACKED if args.tracked else args.nuisance,
             rate_hz=args.rate_hz,
             features=args.feature,
             failures=_failing(args.failure),

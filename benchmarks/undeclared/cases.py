@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.undeclared import effects as hidden_effects
 from benchmarks.undeclared.failures import Failure, Failures
-from benchmarks.undeclared.logs import vehicle_document, write_log, write_robot
+from benchmarks.undeclared.logs import late, vehicle_document, write_log, write_robot
 from benchmarks.undeclared.nuisance import NO_BIAS, Bias, Nuisance, disturb
 from benchmarks.undeclared.sensors import Noise, Sensors
 from benchmarks.undeclared.simulate import CONTROL_RATE, SUBSTEPS, Record, fly, summarise
@@ -214,6 +214,8 @@ def fly_case(
     record = fly(
         true=true, declared=declared, reference=reference, sensors=sensors, surroundings=around, battery=battery
     )
+    if bias.delay.any():
+        record = late(record, bias.delay)
     _require_air(record, flights, failures)
     if battery is not None:
         record = _read_voltage(record, flights, seed)

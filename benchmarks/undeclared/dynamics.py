@@ -120,12 +120,12 @@ class Plant:
         lever = hat(state[:, RATE]) @ self.vehicle.com
         return state[:, VEL] - (rotation(state) @ lever[:, :, None])[:, :, 0]
 
-    def specific_force(self, state: Array) -> Array:
-        """Return what an ideal accelerometer at the body origin reads [m/s²], body frame, (F, 3).
+    def specific_force(self, state: Array, place: Array | float = 0.0) -> Array:
+        """Return what an ideal accelerometer at a place [m] from the body origin reads [m/s²], body frame, (F, 3).
 
-        Derived: ``R^T (a_O - g)`` with ``a_O = a_C - R (w' x c + w x (w x c))`` and ``m (a_C - g) = R f``.
+        Derived: ``R^T (a_P - g)`` with ``a_P = a_C - R (w' x l + w x (w x l))``, ``l = c - p`` and ``m (a_C - g) = R f``.
         """
-        rate, com = state[:, RATE], self.vehicle.com
+        rate, com = state[:, RATE], self.vehicle.com - place
         rate_dot = self.derivative(state, state[:, ROTOR])[:, RATE]
         turn = hat(rate)
         return self.body_force(state) / self.vehicle.mass - hat(rate_dot) @ com - (turn @ turn) @ com

@@ -123,10 +123,10 @@ class FullPlant(Plant):
         acceleration = self.derivative(state, command)[:, VEL] - self._gravity
         return self.vehicle.mass * (acceleration[:, None, :] @ rotation(state))[:, 0]
 
-    def specific_force(self, state: Array) -> Array:
-        """Return what an ideal accelerometer at the body origin reads [m/s²], body frame, (F, 3); see ``Plant``."""
+    def specific_force(self, state: Array, place: Array | float = 0.0) -> Array:
+        """Return what an ideal accelerometer at a place [m] from the body origin reads [m/s²], (F, 3); see ``Plant``."""
         command = state[:, ROTOR] if self._command is None else self._command
-        slope, com, turn = self.derivative(state, command), self.vehicle.com, hat(state[:, RATE])
+        slope, com, turn = self.derivative(state, command), self.vehicle.com - place, hat(state[:, RATE])
         force = ((slope[:, VEL] - self._gravity)[:, None, :] @ rotation(state))[:, 0]
         return force - hat(slope[:, RATE]) @ com - (turn @ turn) @ com
 

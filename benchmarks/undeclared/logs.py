@@ -1,12 +1,13 @@
 """Write flight logs, the declared robot and the truth."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
+from benchmarks.undeclared.nuisance import LATE
 from benchmarks.undeclared.simulate import CONTROL_RATE, Record
 from benchmarks.undeclared.vehicle import ROTOR_RADIUS, SOURCE, Array, Vehicle
 
@@ -28,6 +29,24 @@ def quaternion(matrix: Array) -> Array:
     flips = np.cumprod(np.where((quat[1:] * quat[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))
     sign = np.concatenate(([1.0], flips)) * (1.0 if quat[0, 3] >= 0.0 else -1.0)
     return quat * sign[:, None]
+
+
+def late(record: Record, delay: Array) -> Record:
+    """Return a record in which each of ``LATE`` comes so much later [s] than it was, between samples in a straight line."""
+    measured = dict(record.measured)
+    for name, seconds in zip(LATE, delay.tolist(), strict=True):
+        measured[name] = _moved(measured[name], seconds * CONTROL_RATE)
+        if name == "rotation":
+            measured["position"] = _moved(measured["position"], seconds * CONTROL_RATE)
+    return replace(record, measured=measured)
+
+
+def _moved(values: Array, samples: float) -> Array:
+    """Return values (T, ...) as they were so many samples before; those at the ends last."""
+    place = np.clip(np.arange(len(values)) - samples, 0.0, len(values) - 1.0)
+    before = place.astype(int)
+    share = (place - before).reshape(-1, *(1,) * (values.ndim - 1))
+    return (1.0 - share) * values[before] + share * values[np.minimum(before + 1, len(values) - 1)]
 
 
 def write_log(path: Path, record: Record, flight: int, *, first: int, every: int, last: int | None = None) -> None:

@@ -1,7 +1,7 @@
 """Small errors that every real vehicle has: nothing that an identification should call an effect."""
 
 from collections.abc import Container
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -39,9 +39,24 @@ class Nuisance:
     acc_of_flight: float = 0.0
     """Accelerometer, each axis, beside its bias, anew for each flight [m/s²]."""
 
+    delay: float = 0.0
+    """Rotor speeds, accelerometer, gyro, pose and velocity, each by itself, late in the log, or early [s]."""
+
+    acc_scale: float = 0.0
+    """Accelerometer, each axis, relative."""
+
+    imu_place: float = 0.0
+    """Accelerometer from the origin of the body, each axis [m]."""
+
 
 TRACKED = Nuisance(attitude=0.01, acc_of_flight=0.05)
 """As logs of a motion-capture room have it beside: markers that are aligned by eye, an accelerometer that warms up."""
+
+LOGGED = replace(TRACKED, delay=0.003, acc_scale=0.005, imu_place=0.005)
+"""And as loggers write it: filters and telemetry take time, an accelerometer has a scale and a place."""
+
+LATE = ("rotor", "acc", "rate", "rotation", "velocity")
+"""What is late by itself; the position is with the rotation."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +71,15 @@ class Bias:
 
     attitude: Array
     """Rotation vector that turns the axes of the logged attitude into those of the body [rad], (3,)."""
+
+    acc_scale: Array = field(default_factory=lambda: np.zeros(3))
+    """Of the accelerometer, relative, (3,)."""
+
+    imu_place: Array = field(default_factory=lambda: np.zeros(3))
+    """Of the accelerometer from the origin of the body [m], (3,)."""
+
+    delay: Array = field(default_factory=lambda: np.zeros(len(LATE)))
+    """By how much each of ``LATE`` is late in the log [s]."""
 
 
 NO_BIAS = Bias(acc=np.zeros(3), gyro=np.zeros(3), attitude=np.zeros(3))
@@ -84,7 +108,8 @@ def disturb(
     acc, gyro, attitude = draw(cfg.acc_bias, 3), draw(cfg.gyro_bias, 3), draw(cfg.attitude, 3)
     if cfg.acc_of_flight:
         acc = acc + draw(cfg.acc_of_flight, num_flights, 3)
-    bias = Bias(acc=acc, gyro=gyro, attitude=attitude)
+    delay, scale, place = draw(cfg.delay, len(LATE)), draw(cfg.acc_scale, 3), draw(cfg.imu_place, 3)
+    bias = Bias(acc=acc, gyro=gyro, attitude=attitude, delay=delay, acc_scale=scale, imu_place=place)
     stretch = np.sqrt(1.0 + inertia)
     factor = 1.0 if any(name in hidden for name in STATED_LAG) else 1.0 + float(tau[0])
     vehicle = replace(

@@ -58,7 +58,7 @@ class Sample:
     """Angular velocity [rad/s], IMU axes, (F, 3)."""
 
     acc: Array
-    """Specific force at the body origin [m/s²], IMU axes, (F, 3)."""
+    """Specific force where the accelerometer is [m/s²], IMU axes, (F, 3)."""
 
     rotor: Array
     """Rotor speeds [rad/s], (F, 4)."""
@@ -86,9 +86,10 @@ class Sensors:
 
     def sample(self, index: int, plant: Plant, state: Array) -> Sample:
         """Return sample ``index`` of every flight, for states (F, 22)."""
-        draw, rate, acc = self._draws[index], state[:, RATE], plant.specific_force(state)
+        draw, rate, acc = self._draws[index], state[:, RATE], plant.specific_force(state, self._bias.imu_place)
         if self._turn is not None:
             rate, acc = rate @ self._turn, acc @ self._turn
+        acc = (1.0 + self._bias.acc_scale) * acc
         return Sample(
             position=plant.origin_position(state) + draw[:, 0:3],
             velocity=plant.origin_velocity(state) + draw[:, 3:6],

@@ -14,10 +14,10 @@ from benchmarks.undeclared.__main__ import main
 from benchmarks.undeclared.cases import flights_of, plan_all
 from benchmarks.undeclared.dynamics import POS, RATE, ROTOR, VEL, Plant, rest_state, rotation
 from benchmarks.undeclared.effects import resolve, split
-from benchmarks.undeclared.logs import COLUMNS
+from benchmarks.undeclared.logs import COLUMNS, late
 from benchmarks.undeclared.nuisance import NO_BIAS, TRACKED, Nuisance, disturb
 from benchmarks.undeclared.sensors import NOISELESS, Noise, Sensors
-from benchmarks.undeclared.simulate import CONTROL_RATE, fly, summarise
+from benchmarks.undeclared.simulate import CONTROL_RATE, Record, fly, summarise
 from benchmarks.undeclared.vehicle import DECLARED, GRAVITY, Array, Vehicle
 
 SETTLE = 1.0
@@ -294,6 +294,38 @@ def test_tracked_logs_have_turned_axes_and_an_accelerometer_that_differs_between
         [turn[0, 2, 1] - turn[0, 1, 2], turn[0, 0, 2] - turn[0, 2, 0], turn[0, 1, 0] - turn[0, 0, 1]]
     )
     np.testing.assert_allclose(vector, bias.attitude, rtol=1e-3)  # sin of an angle of 0.02
+
+
+def test_an_accelerometer_with_a_place_feels_the_turning_and_its_scale() -> None:
+    """What it reads is the derivative of the velocity of its place, without gravity, times its scale."""
+    plant, place, scale = Plant(DECLARED), np.array([0.03, -0.02, 0.05]), np.array([0.02, -0.01, 0.03])
+    state, dt = tumbling(), 1e-5
+
+    def velocity(state: np.ndarray) -> np.ndarray:
+        lever = np.cross(state[:, RATE], place)
+        return plant.origin_velocity(state) + (rotation(state) @ lever[:, :, None])[:, :, 0]
+
+    step = [plant.step(state, state[:, ROTOR], seconds) for seconds in (-dt, dt)]
+    felt = (velocity(step[1]) - velocity(step[0])) / (2.0 * dt) + np.array([0.0, 0.0, GRAVITY])
+    felt = (felt[:, None, :] @ rotation(state))[:, 0]
+    np.testing.assert_allclose(plant.specific_force(state, place), felt, rtol=1e-6, atol=1e-6)
+    bias = replace(NO_BIAS, imu_place=place, acc_scale=scale)
+    sensors = Sensors(NOISELESS, bias, [np.random.default_rng(0)], 1)
+    np.testing.assert_allclose(sensors.sample(0, plant, state).acc, (1.0 + scale) * felt, rtol=1e-6, atol=1e-6)
+
+
+def test_what_is_late_in_a_log_is_what_was_measured_before() -> None:
+    """Whole samples are moved as they are, half ones lie between; the position goes with the rotation."""
+    time = np.arange(20.0)[:, None]
+    shapes = {"rotor": (4,), "acc": (3,), "rate": (3,), "rotation": (3, 3), "velocity": (3,), "position": (3,)}
+    measured = {
+        name: np.broadcast_to(time.reshape(20, 1, *(1,) * len(of)), (20, 1, *of)) for name, of in shapes.items()
+    }
+    record = Record(measured=measured, **dict.fromkeys(("command", "state", "position", "voltage", "surroundings")))
+    found = late(record, np.array([2.0, 0.5, -1.0, 3.0, 0.0]) / CONTROL_RATE).measured
+    delays = {"rotor": 2.0, "acc": 0.5, "rate": -1.0, "rotation": 3.0, "velocity": 0.0, "position": 3.0}
+    for name, samples in delays.items():
+        np.testing.assert_allclose(found[name][4:-2], measured[name][4:-2] - samples, rtol=1e-12)
 
 
 def test_nuisance_is_small_and_adds_to_what_is_hidden() -> None:
