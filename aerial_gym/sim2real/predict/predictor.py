@@ -41,11 +41,8 @@ from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate, estim
 from aerial_gym.sim2real.predict.rows.together import Columns, Together
 from aerial_gym.sim2real.predict.tolerances import (
     Tolerances,
-    answered_noise,
     deviated,
-    rotor_motion,
-    sensor_biases,
-    turned,
+    sensed,
 )
 
 Array = NDArray[np.float64]
@@ -149,14 +146,10 @@ class Predictor:
         others = {name: params for name, params in point.effects.items() if name not in on_vehicle}
         off = deviated(self._declared, self.tolerances, point.deviation)
         vehicle = build_model(off.vehicle, effects_at(ModelParams(effects=on_vehicle), 1)).vehicle
-        biases = () if point.deviation is None else sensor_biases(self.tolerances, torch.from_numpy(point.deviation))
-        sensors = [(place, bias.numpy().tobytes()) for place, bias in enumerate(biases) if bias.any()]
+        logged = b"" if point.deviation is None else sensed(self.tolerances, torch.from_numpy(point.deviation)).key
         numbers = [rows.numpy().tobytes() for rows in vehicle.rows().values()]
-        for place, of in enumerate((rotor_motion, answered_noise, turned), len(biases)):
-            if point.deviation is not None and (noise := of(torch.from_numpy(point.deviation))).any():
-                sensors.append((place, noise.numpy().tobytes()))
         others_key = key_of(ModelParams(effects=others))
-        return (*numbers, *sensors, off.command_shift, off.joint_start, others_key, point.learned)
+        return (*numbers, logged, off.command_shift, off.joint_start, others_key, point.learned)
 
     def _adds_nothing(self, name: str, params: Array) -> bool:
         effect = EFFECTS.get(name)

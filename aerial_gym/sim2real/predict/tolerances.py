@@ -6,7 +6,7 @@ rotors moved (``rotor_estimate``), and how much of the turning is noise that the
 sizes come from each log. Letters: E environments, R rotors, N tolerances.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -15,8 +15,22 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from aerial_gym.config.robot import require_positive
-from aerial_gym.math.quaternion import quat_from_euler, quat_to_matrix
+from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.physics import Vehicle
+
+LAYOUT: dict[str, str | tuple[str, ...]] = {
+    "mass": ("",),
+    "thrust": "rotors",
+    "rotor_motion": "rotors",
+    **dict.fromkeys(("inertia", "com", "acc_bias", "gyro_bias", "answered_noise", "attitude"), "xyz"),
+    "sensor_delay": ("rotors", "acc", "gyro", "attitude", "velocity"),
+    **dict.fromkeys(("acc_scale", "imu_place"), "xyz"),
+    **dict.fromkeys(("time_constant", "nominal_voltage", "command_hold", "joint_rest"), ("",)),
+}
+"""Tolerances in the order of their deviations, and of what: of the whole, of each rotor, about or along each axis."""
+
+OF_LOGS = ("sensor_delay", "acc_scale", "imu_place")
+"""What a logger may be off by, and no vehicle: flights tell most of it by kinematics, so that nothing hides behind it."""
 
 STRAINED = 3.0
 """Standard deviations beyond which a declaration was not careful, or a tolerance is too small."""
@@ -56,6 +70,18 @@ class Tolerances:
     It turns what attitude and velocity say of forces and rates, the airspeed, and what hangs on the vehicle.
     """
 
+    sensor_delay: float = 0.003
+    """By how much what is logged is late, rotor speeds, accelerometer, gyro, attitude and velocity each by itself [s].
+
+    Filters, telemetry and motion capture take some milliseconds, and no logger writes them down. Commands are the clock.
+    """
+
+    acc_scale: float = 0.005
+    """Relative, each axis of the accelerometer by itself: what a calibration on six sides, or one at rest, leaves."""
+
+    imu_place: float = 0.005
+    """Of the accelerometer from the origin of the body, along each axis [m]."""
+
     nominal_voltage: float = 0.003
     """Relative: reading a voltmeter where rotors reach the commanded speeds."""
 
@@ -69,11 +95,9 @@ class Tolerances:
         require_positive(self, *(field.name for field in fields(self)))
 
     def names(self, num_rotors: int) -> tuple[str, ...]:
-        """Return the names of the N tolerances, in the order of ``Deviation``."""
-        rotors = [f"{name}_{number}" for name in ("thrust", "rotor_motion") for number in range(1, num_rotors + 1)]
-        of_axes = ("inertia", "com", "acc_bias", "gyro_bias", "answered_noise", "attitude")
-        axes = [f"{name}_{axis}" for name in of_axes for axis in "xyz"]
-        return ("mass", *rotors, *axes, "time_constant", "nominal_voltage", "command_hold", "joint_rest")
+        """Return the names of the N tolerances, in the order of ``LAYOUT``."""
+        parts = [(name, part) for name, of in LAYOUT.items() for part in _parts_of(of, num_rotors)]
+        return tuple(f"{name}_{part}" if part else name for name, part in parts)
 
     def strained(
         self, deviation: NDArray[np.float64], *, absent: Collection[str] = (), farthest: float = np.inf
@@ -106,6 +130,12 @@ class Tolerances:
         known = "give the tolerance that it has (--tolerances)"
         if name.startswith(("acc_bias", "gyro_bias")):
             return f"calibrate it, or {known}"
+        if name.startswith("sensor_delay"):
+            return f"put what is logged on one clock, or {known}"
+        if name.startswith("acc_scale"):
+            return f"calibrate it, or {known}"
+        if name.startswith("imu_place"):
+            return f"say what it reads at the origin of the body, or {known}"
         if name.startswith("attitude"):
             return f"align the logged attitude with the body, or {known}"
         if name.startswith("rotor_motion"):
@@ -125,17 +155,17 @@ def deviate(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehi
         tolerances: Their sizes.
         deviation: In standard deviations, (N,), in the order of ``Tolerances.names``.
     """
-    mass, rotors, _, inertia, com, _, _, _, _, lag, voltage, _, _ = _parts(deviation)
-    factor = (1.0 + tolerances.thrust * rotors).unsqueeze(0)
-    stretch = (1.0 + tolerances.inertia * inertia).clamp_min(0.01).sqrt()
-    slower = 1.0 + tolerances.time_constant * lag
+    off = split(deviation)
+    factor = (1.0 + tolerances.thrust * off["thrust"]).unsqueeze(0)
+    stretch = (1.0 + tolerances.inertia * off["inertia"]).clamp_min(0.01).sqrt()
+    slower = 1.0 + tolerances.time_constant * off["time_constant"]
     battery = vehicle.battery.clone()
-    battery[:, 0] *= 1.0 + tolerances.nominal_voltage * voltage
+    battery[:, 0] *= 1.0 + tolerances.nominal_voltage * off["nominal_voltage"]
     return replace(
         vehicle.with_scaled_maps(thrust=factor, torque=factor),
-        mass=vehicle.mass * (1.0 + tolerances.mass * mass),
+        mass=vehicle.mass * (1.0 + tolerances.mass * off["mass"]),
         inertia=vehicle.inertia * stretch.unsqueeze(-1) * stretch,
-        com=vehicle.com + tolerances.com * com,
+        com=vehicle.com + tolerances.com * off["com"],
         time_constant_up=vehicle.time_constant_up * slower,
         time_constant_down=vehicle.time_constant_down * slower,
         battery=battery,
@@ -168,49 +198,84 @@ def deviated(declared: Vehicle, tolerances: Tolerances, deviation: NDArray[np.fl
     )
 
 
-def sensor_biases(tolerances: Tolerances, deviation: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the biases of accelerometer [m/s²] and gyro [rad/s], body, each (3,)."""
-    *_, acc, gyro, _, _, _, _, _, _ = _parts(deviation)
-    return tolerances.acc_bias * acc, tolerances.gyro_bias * gyro
+@dataclass(frozen=True, kw_only=True)
+class Sensed:
+    """What deviations do to what is logged of a vehicle."""
+
+    acc_bias: Tensor
+    """[m/s²], body, (3,)."""
+
+    gyro_bias: Tensor
+    """[rad/s], body, (3,)."""
+
+    acc_scale: Tensor
+    """Relative, (3,)."""
+
+    imu_place: Tensor
+    """Of the accelerometer from the origin of the body [m], body, (3,)."""
+
+    rotor_motion: Tensor
+    """How much more the rotors moved in each of their modes than is expected, in standard deviations of that, (R,)."""
+
+    answered_noise: Tensor
+    """How much of the turning about each axis is noise in step with the torque, in standard deviations, (3,)."""
+
+    attitude: Tensor
+    """Roll, pitch and yaw from the axes of the logged attitude to those of the body [rad], (3,)."""
+
+    delays: Tensor
+    """Of rotor speeds, accelerometer, gyro, attitude and velocity [s], (5,)."""
+
+    @property
+    def turn(self) -> Tensor:
+        """Rotation from the axes of the logged attitude to those of the body, (4,)."""
+        return quat_from_euler(self.attitude)
+
+    @property
+    def key(self) -> bytes:
+        """What tells it from others."""
+        numbers = torch.cat([getattr(self, field.name) for field in fields(self)])
+        return numbers.numpy().tobytes() if numbers.any() else b""
+
+
+def sensed(tolerances: Tolerances, deviation: Tensor) -> Sensed:
+    """Return what deviations (N,), in standard deviations, do to what is logged."""
+    off = split(deviation)
+    return Sensed(
+        acc_bias=tolerances.acc_bias * off["acc_bias"],
+        gyro_bias=tolerances.gyro_bias * off["gyro_bias"],
+        acc_scale=tolerances.acc_scale * off["acc_scale"],
+        imu_place=tolerances.imu_place * off["imu_place"],
+        rotor_motion=off["rotor_motion"],
+        answered_noise=off["answered_noise"],
+        attitude=tolerances.attitude * off["attitude"],
+        delays=tolerances.sensor_delay * off["sensor_delay"],
+    )
 
 
 def command_shift(tolerances: Tolerances, deviation: Tensor) -> float:
     """Return how far the effective command lies towards the next row, in steps; 0: held from its row on."""
-    return float(tolerances.command_hold * deviation[-2])
+    return float(tolerances.command_hold * split(deviation)["command_hold"])
 
 
 def joint_start(tolerances: Tolerances, deviation: Tensor) -> float:
     """Return the angle of soft arms when a log begins as a share of the one at which they would rest."""
-    return float(1.0 + tolerances.joint_rest * deviation[-1])
+    return float(1.0 + tolerances.joint_rest * split(deviation)["joint_rest"])
 
 
-def rotor_motion(deviation: Tensor) -> Tensor:
-    """Return how much more the rotors moved in each of their modes than is expected, in standard deviations of that, (R,)."""
-    return _parts(deviation)[2]
+def split(deviation: Tensor) -> dict[str, Tensor]:
+    """Return the parts of deviations (N,) by the names of ``LAYOUT``."""
+    none = {name: len(_parts_of(of, 0)) for name, of in LAYOUT.items()}
+    rotors = (deviation.numel() - sum(none.values())) // sum(of == "rotors" for of in LAYOUT.values())
+    sizes = [len(_parts_of(of, rotors)) for of in LAYOUT.values()]
+    return dict(zip(LAYOUT, torch.split(deviation, sizes), strict=True))
 
 
-def answered_noise(deviation: Tensor) -> Tensor:
-    """Return how much of the turning about each axis is noise in step with the torque, in standard deviations, (3,)."""
-    return _parts(deviation)[7]
+def of_logs(num_rotors: int) -> NDArray[np.bool_]:
+    """Return which of the N tolerances belong to logs alone, (N,)."""
+    return np.array([name in OF_LOGS for name, of in LAYOUT.items() for _ in _parts_of(of, num_rotors)])
 
 
-def attitude_turn(tolerances: Tolerances, deviation: Tensor) -> Tensor:
-    """Return the matrix that turns the axes of the logged attitude into those of the body, (3, 3)."""
-    return quat_to_matrix(attitude_error(tolerances, deviation))
-
-
-def attitude_error(tolerances: Tolerances, deviation: Tensor) -> Tensor:
-    """Return the rotation from the axes of the logged attitude to those of the body, (4,)."""
-    return quat_from_euler(tolerances.attitude * turned(deviation))
-
-
-def turned(deviation: Tensor) -> Tensor:
-    """Return how far the logged attitude is turned about each axis, in standard deviations, (3,)."""
-    return _parts(deviation)[8]
-
-
-def _parts(deviation: Tensor) -> tuple[Tensor, ...]:
-    """Return the deviations of mass, thrust, rotor motion, inertia, com, biases, noise, attitude and each of the others."""
-    others = [3, 3, 3, 3, 3, 3, 1, 1, 1, 1]
-    rotors = (deviation.numel() - 1 - sum(others)) // 2
-    return torch.split(deviation, [1, rotors, rotors, *others])
+def _parts_of(of: Iterable[str], num_rotors: int) -> list[str]:
+    """Return the names of what a tolerance is of."""
+    return [str(number + 1) for number in range(num_rotors)] if of == "rotors" else list(of)

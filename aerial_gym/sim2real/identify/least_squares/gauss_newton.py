@@ -24,6 +24,7 @@ from aerial_gym.sim2real.identify.least_squares.weighted import Beside, Weighted
 from aerial_gym.sim2real.identify.least_squares.within_bounds import minimum_within
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.predict.tolerances import of_logs
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -203,8 +204,9 @@ def tolerance_jacobian(predictor: Predictor, point: ModelParams, base: list[Arra
 
 
 def tolerated(predictor: Predictor, point: ModelParams) -> Array:
-    """Return the residual (rms) that the tolerances of the vehicle cause in each channel, (C,)."""
-    parts = tolerance_jacobian(predictor, point, predictor.predict(point))
+    """Return the residual (rms) that the tolerances of the vehicle, and not those of its log, cause in each channel, (C,)."""
+    vehicle = np.logical_not(of_logs(predictor.robot.num_rotors))
+    parts = [part[:, :, vehicle] for part in tolerance_jacobian(predictor, point, predictor.predict(point))]
     return np.sqrt(np.concatenate([(part**2).sum(axis=2) for part in parts]).mean(axis=0))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.interpolate import CubicSpline
 from torch import Tensor
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
@@ -102,6 +103,7 @@ class Dataset:
         self.felt_force = felt[torch.from_numpy(self.flight)].unsqueeze(1)
         kept = [felt[index].expand(time.size, 1) for index, time in enumerate(self.times)]
         self.felt_force_kept = torch.cat(kept)
+        self.acceleration = torch.cat([self._derivative(i, "lin_vel") for i in range(len(flights))])
         self.ang_acc = torch.cat([self._derivative(i, "ang_vel") for i in range(len(flights))])
         self.spin_up = torch.cat([self.derivative_of(i, rotor.speed) for i, rotor in turning]) if turning else None
         self.unsure_spin_up = (
@@ -109,9 +111,9 @@ class Dataset:
             if turning
             else None
         )
-        self.kinematic_force, self.kinematic_rate = (
+        self.kinematic_force, self.kinematic_rate, self.kinematic_jerk = (
             torch.from_numpy(self.in_band(torch.cat([of(i) for i in range(len(flights))]).T.contiguous().numpy())).T
-            for of in (self._implied_force, self._implied_rate)
+            for of in (self._implied_force, self._implied_rate, self._implied_jerk)
         )
 
     @staticmethod
@@ -123,6 +125,16 @@ class Dataset:
         """Return values at the rows of a flight (E, any) in the band, (rows kept, any)."""
         stride = self.stride[index]
         return lowpass(rows, self.flights[index].rate / stride, self.bandwidth)[self.kept[index] // stride]
+
+    def later(self, columns: list[Array], seconds: Sequence[float]) -> list[Array]:
+        """Return values in the band at the rows of all flights, each (rows kept,), later by so many seconds in each flight."""
+        if not any(seconds):
+            return columns
+        parts = [
+            later([column[span] for column in columns], time, delay)
+            for span, time, delay in zip(self.kept_spans, self.times, seconds, strict=True)
+        ]
+        return [np.concatenate(own) for own in zip(*parts, strict=True)]
 
     def in_band(self, columns: Array) -> Array:
         """Return values at the rows of all flights (K, E) in the band, (K, rows kept); what is zero stays so."""
@@ -196,10 +208,18 @@ class Dataset:
 
     def _implied_force(self, index: int) -> Tensor:
         """Return ``R^T (v' + g e_z)`` [m/s²], body, (E, 3): what an accelerometer without errors reads."""
-        acceleration = self._derivative(index, "lin_vel")
+        acceleration = self.acceleration[self.spans[index]].clone()
         acceleration[:, 2] += STANDARD_GRAVITY
         attitude = self._thin(index, "attitude")
         return quat_rotate_inverse(attitude / attitude.norm(dim=1, keepdim=True), acceleration)
+
+    def _implied_jerk(self, index: int) -> Tensor:
+        """Return ``R^T v''`` [m/s³], body, (E, 3): by how much that force changes with the delay of the velocity alone."""
+        acceleration = self.acceleration[self.spans[index]].numpy()
+        rate = self.flights[index].rate / self.stride[index]
+        jerk = torch.from_numpy(lowpass(acceleration, rate, self.bandwidth, derivative=True))
+        attitude = self._thin(index, "attitude")
+        return quat_rotate_inverse(attitude / attitude.norm(dim=1, keepdim=True), jerk)
 
     def _implied_rate(self, index: int) -> Tensor:
         """Return the angular velocity that the attitude implies [rad/s], body, (E, 3)."""
@@ -213,3 +233,10 @@ class Dataset:
         if stride > 1:
             values = lowpass(values, self.flights[index].rate, PREFILTER * self.flights[index].rate / stride)[::stride]
         return torch.from_numpy(np.ascontiguousarray(values))
+
+
+def later(columns: list[Array], time: Array, seconds: float) -> list[Array]:
+    """Return values in the band at some times [s], each (rows,), as they are so many seconds later: as a cubic spline runs."""
+    if not seconds or time.size < 2:
+        return columns
+    return list(CubicSpline(time, np.stack(columns, axis=1))(time - seconds).T.copy())

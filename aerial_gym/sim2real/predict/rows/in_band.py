@@ -38,7 +38,9 @@ class InBand:
         self._motion = self._slow(torch.cat((data.ang_acc, products), dim=1))
         """Angular acceleration and products of angular velocities as measured, (3 + 9, T)."""
 
-    def felt(self, model: Model, rotor_speed: Tensor, acting: Acting, *, about: Tensor | None = None) -> Accelerations:
+    def felt(
+        self, model: Model, rotor_speed: Tensor, acting: Acting, *, about: Tensor | None = None, late: float = 0.0
+    ) -> Accelerations:
         """Return specific force [m/s²] and angular acceleration [rad/s²] of the body origin in the band, (T, 3) each.
 
         The lever of the accelerometer turns as measured: an error of the torque model stays out of the forces.
@@ -48,8 +50,9 @@ class InBand:
             rotor_speed: True speeds [rad/s], (E, R).
             acting: Forces in every row, linear ones apart or not.
             about: Where the torques of effects at hubs are about [m], body, (3,). None: the centre of mass, as all others.
+            late: By how much the gyro is late [s].
         """
-        vehicle = model.vehicle
+        vehicle, motion = model.vehicle, self._turning(late)
         terms = self._of("rotors", rotor_speed, lambda speed: map_terms(vehicle, speed).permute(1, 0, 2))  # (K, R, T)
         maps = (vehicle.thrust_map, vehicle.reverse_thrust_map), (vehicle.torque_map, vehicle.reverse_torque_map)
         coefficients = [torch.cat([rows[0] for rows in pair], dim=1).T[: len(terms), :, None] for pair in maps]
@@ -64,17 +67,29 @@ class InBand:
             wrench = wrench + part
             if about is not None and name in at_hubs:
                 wrench[3:] += torch.linalg.cross((about - vehicle.com[0])[:, None], part[:3], dim=0)
-        unit = torch.eye(12, dtype=wrench.dtype)
-        turning, products = unit[:, :3], unit[:, 3:].view(-1, 3, 3)
+        _, products = _of_motion()
         spin = products @ vehicle.inertia[0]  # w (J w)^T, J is symmetric
         gyroscopic = torch.stack([spin[:, i, j] - spin[:, j, i] for i, j in ((1, 2), (2, 0), (0, 1))])
-        square = products.diagonal(dim1=1, dim2=2).sum(dim=1)
-        lever = (
-            torch.linalg.cross(turning, vehicle.com[:1]) + products @ vehicle.com[0] - square[:, None] * vehicle.com[0]
-        )
-        force = wrench[:3] / vehicle.mass[0] - lever.T @ self._motion
-        torque = model.inertia_inverse[0] @ (wrench[3:] - gyroscopic @ self._motion)
+        force = wrench[:3] / vehicle.mass[0] - self.felt_at(vehicle.com[0], late)
+        torque = model.inertia_inverse[0] @ (wrench[3:] - gyroscopic @ motion)
         return Accelerations(specific_force=force.T, ang_acc=torque.T)
+
+    def felt_at(self, place: Tensor, late: float = 0.0) -> Tensor:
+        """Return what a place [m], body, (3,), feels more than the origin as the vehicle turns as measured [m/s²], (3, T).
+
+        ``alpha x r + w (w r) - w² r``.
+        """
+        turning, products = _of_motion()
+        square = products.diagonal(dim1=1, dim2=2).sum(dim=1)
+        lever = torch.linalg.cross(turning, place[None]) + products @ place - square[:, None] * place
+        return lever.T @ self._turning(late)
+
+    def _turning(self, late: float) -> Tensor:
+        """Return the motion as a gyro that is late by some seconds has measured it, (12, T)."""
+        if not late:
+            return self._motion
+        seconds = [-late] * len(self._data.times)
+        return torch.from_numpy(np.stack(self._data.later(list(self._motion.numpy()), seconds)))
 
     def _of(self, name: str, rows: Tensor, law: Callable[[Tensor], Tensor] = lambda rows: rows) -> Tensor:
         """Return a law of rows (E, ...) in the band, (..., T), of the same tensor as before or of another one."""
@@ -92,6 +107,12 @@ class InBand:
     def _slow(self, rows: Tensor) -> Tensor:
         """Return rows (E, K) in the band, (K, T)."""
         return torch.from_numpy(self._data.in_band(rows.T.contiguous().numpy()))
+
+
+def _of_motion() -> tuple[Tensor, Tensor]:
+    """Return angular acceleration (12, 3) and products of angular velocities (12, 3, 3) in the columns of the motion."""
+    unit = torch.eye(12, dtype=torch.float64)
+    return unit[:, :3], unit[:, 3:].view(-1, 3, 3)
 
 
 def columns_of(rows: Tensor) -> list[Array]:

@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.math.quaternion import quat_conjugate, quat_multiply, quat_rotate, quat_rotate_inverse
+from aerial_gym.math.quaternion import (
+    quat_conjugate,
+    quat_exp,
+    quat_multiply,
+    quat_rotate,
+    quat_rotate_inverse,
+    quat_to_matrix,
+)
 from aerial_gym.math.rows import times
 from aerial_gym.physics import (
     Accelerations,
@@ -53,20 +60,16 @@ from aerial_gym.sim2real.predict.replay.memory import remembered_along
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rows.answered_noise import seeming_torque
 from aerial_gym.sim2real.predict.rows.batches import expand_model, with_known_wind
-from aerial_gym.sim2real.predict.rows.dataset import Dataset
+from aerial_gym.sim2real.predict.rows.dataset import Dataset, later
 from aerial_gym.sim2real.predict.rows.imu_reading import imu_of
 from aerial_gym.sim2real.predict.rows.in_band import InBand, columns_of
 from aerial_gym.sim2real.predict.tolerances import (
+    Sensed,
     Tolerances,
-    answered_noise,
-    attitude_error,
-    attitude_turn,
     command_shift,
     deviate,
     joint_start,
-    rotor_motion,
-    sensor_biases,
-    turned,
+    sensed,
 )
 
 Array = NDArray[np.float64]
@@ -89,6 +92,9 @@ class _Asked:
 
     deviation: Tensor
     """Within the tolerances, in standard deviations, (N,)."""
+
+    logged: Sensed
+    """What it does to what is logged."""
 
     speeds: list[Array | None] | None
     """Where commands lead the rotors in each flight [rad/s], (T, R); None where nothing asks for it."""
@@ -127,14 +133,36 @@ class Together:
         asked = self._asked(point)
         kinds = dict.fromkeys(channel.kind for channel in self.data.channels)
         rows = self._rows(asked) if kinds.keys() - {"rotor_speed"} else {}
+        for kind, delays in self._delays(asked.logged).items():
+            if kind in rows:
+                rows[kind] = self.data.later(rows[kind], delays)
         columns = [column for kind in kinds if kind in rows for column in rows[kind]]
         found = [[column[span] for column in columns] for span in self.data.kept_spans]
         if "rotor_speed" in kinds:
             assert asked.speeds is not None
             place = 3 * list(kinds).index("rotor_speed")
-            for own, turning in zip(found, self._slow_speeds(asked.speeds), strict=True):
-                own[place:place] = turning
+            late = float(asked.logged.delays[0])
+            for own, turning, time in zip(found, self._slow_speeds(asked.speeds), self.data.times, strict=True):
+                own[place:place] = later(turning, time, late)
         return found
+
+    def _delays(self, logged: Sensed) -> dict[str, list[float]]:
+        """Return by how much sensors read later than rows are predicted in each flight [s], by kind of channel.
+
+        Rows are predicted on the clock of the rotor speeds. Where there is no accelerometer the force is in logged axes.
+        """
+        _, acc, gyro, attitude, _ = self._on_clock(logged)
+        force = [acc if flight.accelerometer else attitude for flight in self.data.flights]
+        return {"specific_force": force, "angular_acceleration": [gyro] * len(force)}
+
+    def _on_clock(self, logged: Sensed) -> list[float]:
+        """Return how late rotor speeds, accelerometer, gyro, attitude and velocity are on the clock of the rotor speeds [s].
+
+        Of those that were logged, or of commands, which are late by nothing.
+        """
+        late = logged.delays.tolist()
+        clock = 0.0 if self.data.simulated else late[0]
+        return [one - clock for one in late]
 
     def felt(self, point: ModelParams) -> list[Array]:
         """Return the inputs of a learned residual at the rows of each flight, in the band, (rows kept, 7) each."""
@@ -164,7 +192,7 @@ class Together:
         if self.data.simulated or any(channel.kind == "rotor_speed" for channel in self.data.channels):
             sensors = () if self.data.simulated else model.effects[RotorSensorEffect]
             speeds = self._replay.speeds(model, command_shift(self.tolerances, deviation), sensors)
-        return _Asked(model=model, deviation=deviation, speeds=speeds)
+        return _Asked(model=model, deviation=deviation, logged=sensed(self.tolerances, deviation), speeds=speeds)
 
     def _rows(self, asked: _Asked) -> dict[str, Columns]:
         """Return what the inertial sensors would read in the band, three columns (T,) by kind."""
@@ -186,25 +214,38 @@ class Together:
                 ("load", self._pull(flown, asked, self._hanging(flown, condition, remembered, asked)))
             )
         about = None if hubs is None else hubs.vehicle.com[0]
-        felt = self._in_band.felt(model, condition.rotor_speed, acting, about=about)
-        return self._read(model, felt, asked.deviation)
+        late = self._on_clock(asked.logged)[2]
+        felt = self._in_band.felt(model, condition.rotor_speed, acting, about=about, late=late)
+        return self._read(model, felt, asked.logged)
 
-    def _read(self, model: Model, found: Accelerations, deviation: Tensor) -> dict[str, Columns]:
+    def _read(self, model: Model, found: Accelerations, logged: Sensed) -> dict[str, Columns]:
         """Return what the inertial sensors read in the band, three columns (T,) by kind."""
         felt, force, torque = self.data.felt_force_kept, found.specific_force, found.ang_acc
-        force_bias, rate_bias = sensor_biases(self.tolerances, deviation)
+        if logged.imu_place.any():
+            force = force + felt * self._in_band.felt_at(logged.imu_place, self._on_clock(logged)[2]).T
         if model.effects[ImuEffect]:
             of_force, of_rate = imu_of(model)
             force, torque = torch.where(felt, of_force.of(force), force), times(torque, of_rate.turn)
-        if (share := answered_noise(deviation)).any():
-            torque = torque + share * self._seeming()
-        turn = attitude_turn(self.tolerances, deviation) if turned(deviation).any() else None
+        if logged.answered_noise.any():
+            torque = torque + logged.answered_noise * self._seeming()
+        turn = quat_to_matrix(logged.turn) if logged.attitude.any() else None
         if turn is not None:  # where there is no accelerometer, the force is derived in the axes of the logged attitude
             force = torch.where(felt, force, times(force, turn))
+        *_, attitude, velocity = logged.delays.tolist()
+        if velocity != attitude:  # there it is that of the velocity, in those axes
+            force = torch.where(felt, force, force - (velocity - attitude) * self.data.kinematic_jerk)
+        implied = self._read_of_kinematics(model, logged, turn)
+        if (
+            logged.acc_scale.any()
+        ):  # of the force that is predicted: the noise of what kinematics imply looks like a scale
+            more = force * logged.acc_scale * felt
+            force = force + more
+            pairs = zip(implied["kinematic_force"], columns_of(more), strict=True)
+            implied = {**implied, "kinematic_force": [one + other for one, other in pairs]}
         return {
-            "specific_force": columns_of(force + force_bias * felt),
+            "specific_force": columns_of(force + logged.acc_bias * felt),
             "angular_acceleration": columns_of(torque),  # a constant error has no derivative
-            **self._read_of_kinematics(model, force_bias, rate_bias, turn),
+            **implied,
         }
 
     def _seeming(self) -> Tensor:
@@ -218,25 +259,30 @@ class Together:
             self._in_step = torch.from_numpy(np.concatenate(parts))
         return self._in_step
 
-    def _read_of_kinematics(
-        self, model: Model, force_bias: Tensor, rate_bias: Tensor, turn: Tensor | None
-    ) -> dict[str, Columns]:
+    def _read_of_kinematics(self, model: Model, logged: Sensed, turn: Tensor | None) -> dict[str, Columns]:
         """Return what the sensors read of what kinematics imply: the same for all models whose sensors err alike."""
         errs, turns = model.effects[ImuEffect], () if turn is None else (turn.flatten(),)
-        numbers = torch.cat((force_bias, rate_bias, *turns, *(params[0] for _, params in errs))).numpy().tobytes()
+        own = (logged.acc_bias, logged.gyro_bias, logged.delays)
+        numbers = torch.cat((*own, *turns, *(params[0] for _, params in errs))).numpy().tobytes()
         key = (numbers, *(effect.name for effect, _ in errs))
         if key not in self._kinematics:
+            _, acc, gyro, attitude, velocity = logged.delays.tolist()
             force, rate = self.data.kinematic_force, self.data.kinematic_rate
+            if velocity != attitude:
+                force = force + (velocity - attitude) * self.data.kinematic_jerk
             if turn is not None:
                 force, rate = times(force, turn.T), times(rate, turn.T)
             if errs:
                 of_force, of_rate = imu_of(model)
                 force, rate = of_force.of(force), of_rate.of(rate)
-            found = {
-                "kinematic_force": force + force_bias * self.data.felt_force_kept,
-                "kinematic_rate": rate + rate_bias,
+            bias = logged.acc_bias * self.data.felt_force_kept
+            self._kinematics[key] = {
+                kind: self.data.later(columns_of(rows), [late] * len(self.data.times))
+                for kind, rows, late in (
+                    ("kinematic_force", force + bias, acc - attitude),
+                    ("kinematic_rate", rate + logged.gyro_bias, gyro - attitude),
+                )
             }
-            self._kinematics[key] = {kind: columns_of(rows) for kind, rows in found.items()}
             while len(self._kinematics) > REPLAYS:
                 self._kinematics.popitem(last=False)
         self._kinematics.move_to_end(key)
@@ -259,7 +305,7 @@ class Together:
         if self.data.force is not None:  # as measured
             if model.effects[ImuEffect]:
                 force = torch.where(self.data.felt_force, imu_of(model)[0].of(force), force)
-            force = self.data.force - force - sensor_biases(self.tolerances, asked.deviation)[0] * self.data.felt_force
+            force = self.data.force - force - asked.logged.acc_bias * self.data.felt_force
             missed = [quat_rotate(attitude, force).numpy()[span] for span in self.data.spans]
         self._hung = _Hanging(
             key=key, speeds=asked.speeds, suspension=suspension_at(model, attitude, acceleration), missed=missed
@@ -287,18 +333,27 @@ class Together:
         return with_known_wind(model, self.data.flights, self.data.flight)
 
     def _state(self, asked: _Asked) -> dict[str, Tensor]:
-        """Return the motion in every row, with the attitude of the body where the logged one is turned against it."""
-        state = self.data.state
-        if not turned(asked.deviation).any():
-            return state
-        back = quat_conjugate(attitude_error(self.tolerances, asked.deviation))
-        return {**state, "attitude": quat_multiply(state["attitude"], back.expand_as(state["attitude"]))}
+        """Return the motion in every row on the clock of the rotor speeds, with the attitude of the body.
+
+        The logged one may be turned against it, and be late, as the velocity may.
+        """
+        found, logged = dict(self.data.state), asked.logged
+        *_, attitude, velocity = self._on_clock(logged)
+        if velocity:
+            found["lin_vel"] = found["lin_vel"] + velocity * self.data.acceleration
+        if attitude:
+            found["position"] = found["position"] + attitude * self.data.state["lin_vel"]
+            found["attitude"] = quat_multiply(found["attitude"], quat_exp(attitude * found["ang_vel"]))
+        if logged.attitude.any():
+            back = quat_conjugate(logged.turn)
+            found["attitude"] = quat_multiply(found["attitude"], back.expand_as(found["attitude"]))
+        return found
 
     def _condition(self, model: Model, asked: _Asked, *, at_origin: bool = False) -> Condition:
         """Return what the effects of a model see in every row; ``at_origin``: those at hubs (``condition_at_origin``)."""
-        motion, turn = rotor_motion(asked.deviation), turned(asked.deviation)
+        motion = asked.logged.rotor_motion
         speeds = asked.speeds if self.data.speed is None else None
-        numbers = torch.cat((motion, turn)).numpy().tobytes()
+        numbers = torch.cat((motion, asked.logged.attitude, asked.logged.delays)).numpy().tobytes()
         key = (at_origin, *_seen_by_condition(model, at_origin=at_origin), numbers)
         known = self._conditions.get(key)
         if known is not None and known[0] is speeds:

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
@@ -15,7 +16,13 @@ from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.rigid_body import Acting, acting_in
 from aerial_gym.sim2real.identify.candidates.testable import lacks
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import effect_jacobian
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
+    effect_jacobian,
+    linearise,
+    normal_equations,
+    tolerance_jacobian,
+)
+from aerial_gym.sim2real.identify.least_squares.moments import weights_from
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight, load_flights
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import lowpass, uniform_log
@@ -27,7 +34,7 @@ from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rollout import FARTHEST, roll_out, roll_out_variants
 from aerial_gym.sim2real.predict.rows.batches import together
 from aerial_gym.sim2real.predict.rows.dataset import thinned
-from aerial_gym.sim2real.predict.tolerances import Tolerances, command_shift, deviate, joint_start, sensor_biases
+from aerial_gym.sim2real.predict.tolerances import Tolerances, command_shift, deviate, joint_start, sensed
 from aerial_gym.sim2real.predict.windows import find_windows
 from tests.physics.vehicles import BATTERY
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
@@ -383,7 +390,8 @@ def test_tolerances_change_what_they_say() -> None:
     assert off.battery[0].tolist() == pytest.approx([BATTERY.nominal_voltage * 0.997, *vehicle.battery[0, 1:].tolist()])
     for name, size in (("acc_bias_y", 2.0), ("gyro_bias_x", -1.0), ("command_hold", 1.0), ("joint_rest", -2.0)):
         deviation[names.index(name)] = size
-    force, rate = sensor_biases(tolerances, deviation)
+    logged = sensed(tolerances, deviation)
+    force, rate = logged.acc_bias, logged.gyro_bias
     assert force.tolist() == pytest.approx([0.0, 0.04, 0.0])
     assert rate.tolist() == pytest.approx([-0.002, 0.0, 0.0])
     assert command_shift(tolerances, deviation) == pytest.approx(0.3)
@@ -420,6 +428,100 @@ def two_and_one() -> np.ndarray:
     deviation = np.zeros(len(names := Tolerances().names(4)))
     deviation[names.index("attitude_y")], deviation[names.index("attitude_z")] = 2.0, -1.0
     return deviation
+
+
+LATE = {
+    "rotors": ("rotor_",),
+    "acc": ("acc_",),
+    "gyro": ("omega_",),
+    "attitude": ("q_", "p_"),
+    "velocity": ("v_",),
+}
+"""Columns of what may be late by itself."""
+
+
+def delayed(table: pd.DataFrame, what: str, seconds: float) -> pd.DataFrame:
+    """Return a log in which some columns are so many seconds late."""
+    found, time = table.copy(), table["t"].to_numpy()
+    for name in (name for name in table if str(name).startswith(LATE[what])):
+        found[name] = CubicSpline(time, table[name].to_numpy())(time - seconds)
+    return found
+
+
+def deviating(**sizes: float) -> np.ndarray:
+    """Return some deviations of a quadrotor, in standard deviations."""
+    names = Tolerances().names(4)
+    return np.array([sizes.get(name, 0.0) for name in names])
+
+
+@pytest.mark.parametrize("accelerometer", [True, False])
+@pytest.mark.parametrize("what", LATE)
+def test_a_sensor_that_is_late_within_its_tolerance_is_put_back(what: str, accelerometer: bool, tmp_path: Path) -> None:
+    """6 ms, two deviations, leave what the log on one clock does, but 10 %; of each sensor, with drag in a wind."""
+    table = flight(3, drag=0.6, wind=(2.0, -1.0, 0.5))
+    if not accelerometer:
+        table = table.drop(columns=["acc_x", "acc_y", "acc_z"])
+    point = ModelParams(effects={"rotor_drag": np.full(3, 0.6), "constant_wind": np.array([2.0, -1.0, 0.5])})
+    logs = [table, delayed(table, what, 0.006)]
+    on_time, late = (
+        complete_flight(uniform_log(read_flight_log(write(log, tmp_path / f"{number}.csv"))))
+        for number, log in enumerate(logs)
+    )
+    as_was, moved = residual(on_time, point), residual(late, point)
+    back = residual(late, replace(point, deviation=deviating(**{f"sensor_delay_{what}": 2.0})))
+    left = np.sqrt(np.mean((back - as_was) ** 2, axis=0))
+    off = np.sqrt(np.mean((moved - as_was) ** 2, axis=0))
+    assert off.max() > 0.01 or (what == "acc" and not accelerometer)
+    np.testing.assert_array_less(left, 2e-3 + 0.1 * off)
+
+
+def test_the_scale_and_the_place_of_an_accelerometer_within_its_tolerances_are_put_back(tmp_path: Path) -> None:
+    """1 % along y and -0.5 % along z; 1 cm ahead, 5 mm below: forces as they were, and nothing else is touched."""
+    table = flight(3)
+    found = complete_flight(uniform_log(read_flight_log(write(table, tmp_path / "a.csv"))))
+    assert found.specific_force is not None
+    place, scale = np.array([0.01, 0.0, -0.005]), np.array([0.0, 0.01, -0.005])
+    rate = found.ang_vel
+    turning = lowpass(rate, found.rate, 40.0, derivative=True)
+    felt = found.specific_force + np.cross(turning, place) + np.cross(rate, np.cross(rate, place))
+    names = [channel.kind for channel in find_channels([found])]
+    forces, implied = (
+        [k for k, name in enumerate(names) if name == kind] for kind in ("specific_force", "kinematic_force")
+    )
+    as_was = residual(found, ModelParams())
+    for read, sizes, kinds in (
+        (felt, {"imu_place_x": 2.0, "imu_place_z": -1.0}, forces),
+        ((1.0 + scale) * found.specific_force, {"acc_scale_y": 2.0, "acc_scale_z": -1.0}, forces + implied),
+    ):
+        off = replace(found, specific_force=read)
+        moved, back = residual(off, ModelParams()), residual(off, ModelParams(deviation=deviating(**sizes)))
+        others = [k for k in range(len(names)) if k not in kinds]
+        assert np.abs(moved - as_was)[:, kinds].max() > 0.02
+        assert np.abs(back - as_was)[:, kinds].max() < 0.05 * np.abs(moved - as_was)[:, kinds].max()
+        np.testing.assert_array_equal(
+            residual(found, ModelParams(deviation=deviating(**sizes)))[:, others], as_was[:, others]
+        )
+
+
+def test_noise_of_what_kinematics_imply_is_no_scale_of_the_accelerometer(tmp_path: Path) -> None:
+    """Velocities with noise: what they imply varies more than what is felt, and a scale of it would come out 40 % small."""
+    rng, flights = np.random.default_rng(5), []
+    for seed in range(3):
+        table = flight(seed, noise=1.0, drag=0.2)
+        table[["v_x", "v_y", "v_z"]] += 0.02 * rng.standard_normal((len(table), 3))
+        flights.append(complete_flight(uniform_log(read_flight_log(write(table, tmp_path / f"{seed}.csv")))))
+    point = ModelParams(effects={"rotor_drag": np.full(3, 0.2)})
+    sizes = Tolerances(acc_scale=0.1)
+    predictor = Predictor(ROBOT, flights, bandwidth=BAND, channels=find_channels(flights), tolerances=sizes)
+    fit, _, _ = linearise(predictor, (), point, tolerance_jacobian(predictor, point, predictor.predict(point)))
+    kinematic = np.array([channel.kind == "kinematic_force" for channel in predictor.channels])
+    weight = weights_from(predictor.residuals(point)).weight * kinematic
+    product, gradient = normal_equations(fit, weight)
+    covariance = np.linalg.inv(product + np.eye(len(gradient)))
+    place = [sizes.names(4).index(f"acc_scale_{axis}") for axis in "xyz"]
+    found, std = (covariance @ gradient)[place], np.sqrt(np.diag(covariance)[place])
+    assert (std[:2] < 0.9).all()
+    assert (np.abs(found) < 3.0 * std).all()
 
 
 @pytest.mark.parametrize("accelerometer", [True, False])

@@ -59,8 +59,8 @@ def fading(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def lifted_below(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a flight on which something pushes up where it is low, by 0.4 m/s² per metre."""
-    push = 0.4 * (table["p_z"] - 5.0)
+    """Return a flight on which something pushes up where it is low, by 0.3 m/s² per metre."""
+    push = 0.3 * (table["p_z"] - 5.0)
     table[ROTORS] = table[ROTORS].mul(np.sqrt(1.0 + push / 9.81), axis=0)
     return table
 
