@@ -138,20 +138,28 @@ def common_offsets(found: Sequence[OffsetCurve], learning: int) -> list[ClockOff
     ]
 
 
-def commands_share_clock(log: FlightLog, offset: ClockOffset, time_constant: float) -> bool:
+def commands_share_clock(logs: Sequence[FlightLog], offsets: Sequence[ClockOffset], time_constant: float) -> bool:
     """Return whether commands are on the clock of the rotor speeds, rather than on that of the other sensors.
 
     A lag is no shift: the clock is the one on which a first-order lag, of any time constant, makes the measured speeds out of
-    the commands. Unless the other one leaves clearly less, it is that of the rotor speeds.
+    the commands. Unless the other one leaves clearly less, it is that of the rotor speeds. One answer for all logs: a logger
+    has one clock, and an offset of a row is hardly told from a lag by one of them.
 
     Args:
-        log: With rotor speeds that lead the other sensors by ``offset``.
-        offset: Of the rotor speeds.
+        logs: With rotor speeds that lead the other sensors by ``offsets``.
+        offsets: Of the rotor speeds.
         time_constant: Declared [s]; a fifth to five times of it is tried.
     """
+    found = [_left_by_lags(log, offset, time_constant) for log, offset in zip(logs, offsets, strict=True)]
+    told = [np.log(moved / stayed) for moved, stayed in filter(None, found)]
+    return not told or bool(np.mean(told) > np.log(1.0 - LEAST_SHIFT_GAIN))
+
+
+def _left_by_lags(log: FlightLog, offset: ClockOffset, time_constant: float) -> tuple[float, float] | None:
+    """Return what lags leave of rotor speeds under commands that do not share their clock, and that do; None: nothing tells."""
     speed, command = log.rotor_speed, log.rotor_command
-    if offset.rows == 0.0 or speed is None or command is None:
-        return True
+    if round(offset.rows) == 0 or speed is None or command is None:
+        return None
     whole = round(offset.rows)
     step = float(log.time[-1] - log.time[0]) / (log.time.size - 1)
     edge = round(SETTLED * time_constant / step) + abs(whole)
@@ -164,7 +172,7 @@ def commands_share_clock(log: FlightLog, offset: ClockOffset, time_constant: flo
             found.append(np.mean((speed - follow)[edge:-edge] ** 2))
         return float(min(found))
 
-    return left(-whole) > (1.0 - LEAST_SHIFT_GAIN) * left(0)
+    return left(-whole), left(0)
 
 
 def shift_rotor_log(log: FlightLog, offset: ClockOffset, *, commands: bool = True) -> FlightLog:

@@ -26,13 +26,14 @@ from aerial_gym.sim2real.logs.checks.copies import SeenLogs
 from aerial_gym.sim2real.logs.checks.rotor_law import check_rotor_law
 from aerial_gym.sim2real.logs.checks.rotor_order import check_order
 from aerial_gym.sim2real.logs.checks.rotors import without_copied_commands
+from aerial_gym.sim2real.logs.clock_offset import shift_rotor_log
 from aerial_gym.sim2real.logs.on_ground import rows_on_ground
 from aerial_gym.sim2real.logs.position_jumps import mend_position_jumps
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 from aerial_gym.sim2real.logs.recording import FlightLog, Recording
 from aerial_gym.sim2real.logs.repeated_samples import mend_repeated_samples
-from aerial_gym.sim2real.logs.rotor_clock import check_rotor_clock, clock_offsets, with_rotor_clock
+from aerial_gym.sim2real.logs.rotor_clock import check_rotor_clock, clock_offsets, commands_move
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass, uniform_log, without_gaps
 
 Array = NDArray[np.float64]
@@ -118,12 +119,14 @@ def load_flights(
             log = mended_log(raw)
             read[real] = (with_velocity(log), check_log(log, robot))
     first = {Path(path).resolve() for path in paths[:learning]}
-    offsets = clock_offsets([log for log, _ in read.values()], robot, bandwidth, sum(real in first for real in read))
+    logs, learned = [log for log, _ in read.values()], sum(real in first for real in read)
+    offsets = clock_offsets(logs, robot, bandwidth, learned)
+    together = commands_move(logs[:learned], offsets[:learned], robot)
     flights: list[Flight] = []
     for (real, (log, notes)), offset in zip(read.items(), offsets, strict=True):
         with _left_out(refused):
             check_rotor_clock(log, robot, bandwidth)
-            log = match_hover_thrust(with_rotor_clock(log, offset, robot), robot)
+            log = match_hover_thrust(shift_rotor_log(log, offset, commands=together), robot)
             check_order(log, robot)
             stands = rows_on_ground(log, robot)
             check_rotor_law(log, robot, stands)

@@ -23,7 +23,6 @@ from aerial_gym.sim2real.logs.clock_offset import (
     commands_share_clock,
     common_offsets,
     offset_curve,
-    shift_rotor_log,
 )
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass
@@ -104,10 +103,9 @@ def _curve_of(waves: Array, rate: float, bandwidth: float, largest: float, strid
     return offset_curve(waves[:, 0], waves[:, 1], waves[:, 2:], rate, band, largest=largest)
 
 
-def with_rotor_clock(log: FlightLog, offset: ClockOffset, robot: RobotCfg) -> FlightLog:
-    """Return the log with rotor speeds, and commands if they share it, on the clock of the other sensors."""
-    lag = 0.5 * sum(declared_lag(robot))
-    return shift_rotor_log(log, offset, commands=commands_share_clock(log, offset, lag))
+def commands_move(logs: Sequence[FlightLog], offsets: Sequence[ClockOffset], robot: RobotCfg) -> bool:
+    """Return whether the commands of some logs share the clock of their rotor speeds, and move with them."""
+    return commands_share_clock(logs, offsets, 0.5 * sum(declared_lag(robot)))
 
 
 def check_rotor_clock(log: FlightLog, robot: RobotCfg, bandwidth: float) -> None:

@@ -1,5 +1,7 @@
 """The clock of the rotor log, against offsets that are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from aerial_gym.sim2real.logs.clock_offset import (
     offset_curve,
     shift_rotor_log,
 )
+from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import lowpass
 from tests.unit.sim2real.logs.test_signals import BAND, RATE, TIME, log
 
@@ -74,13 +77,33 @@ def test_commands_move_with_the_rotor_log_only_if_a_lag_says_so(
         rotor_command=np.roll(command, -offset if together else 0)[:, None],
     )
     ahead = ClockOffset(rows=float(offset), std=0.1)
-    assert commands_share_clock(logged, ahead, 0.04) is together
+    assert commands_share_clock([logged], [ahead], 0.04) is together
     moved = shift_rotor_log(logged, ahead, commands=together)
     assert moved.rotor_command is not None
     inner = slice(20, moved.time.size - 20)
     row = np.round(moved.time * RATE).astype(int)
     np.testing.assert_allclose(moved.rotor_command[inner, 0], command[row][inner])
     assert ("commands do not and stay" in moved.notes[0]) is not together
+
+
+def test_all_logs_of_a_logger_move_their_commands_or_none() -> None:
+    """A log that cannot tell is moved as the others are; those without an offset, or without commands, say nothing."""
+    rng, kept = np.random.default_rng(8), np.exp(-1.0 / (RATE * 0.04))
+
+    def logged(size: float) -> FlightLog:
+        command = 900.0 + size * noise(rng, 15.0)
+        speed = command.copy()
+        for row in range(1, TIME.size):
+            speed[row] = kept * speed[row - 1] + (1.0 - kept) * command[row - 1]
+        speed = np.roll(speed + rng.standard_normal(TIME.size), -4)
+        return log(TIME, rotor_speed=speed[:, None], rotor_command=command[:, None])
+
+    clear, vague = [logged(40.0) for _ in range(2)], logged(0.1)
+    ahead, none = ClockOffset(rows=4.0, std=0.1), ClockOffset()
+    assert commands_share_clock([vague], [ahead], 0.04)
+    assert not commands_share_clock([*clear, vague], [ahead] * 3, 0.04)
+    assert not commands_share_clock([*clear, replace(vague, rotor_command=None), vague], [ahead] * 3 + [none], 0.04)
+    assert commands_share_clock([], [], 0.04)
 
 
 def test_a_signal_that_does_not_agree_at_all_is_not_shifted() -> None:
