@@ -25,7 +25,7 @@ from scipy import signal
 from scipy.spatial.transform import Rotation
 
 from benchmarks.score_undeclared import BANDWIDTH_HZ, THREADS, judge
-from benchmarks.undeclared import make_case
+from benchmarks.undeclared import EFFECTS, make_case
 
 Array = NDArray[np.float64]
 Change = Callable[[pd.DataFrame, np.random.Generator], pd.DataFrame]
@@ -187,7 +187,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--changes", nargs="+", choices=CHANGES, default=list(CHANGES), metavar="CHANGE")
-    parser.add_argument("--hidden", nargs="+", default=list(HIDDEN), metavar="EFFECT", help="or nothing")
+    parser.add_argument("--hidden", nargs="+", choices=["nothing", *EFFECTS], default=list(HIDDEN), metavar="EFFECT")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--json", action="store_true", help="one JSON object a case")
     args = parser.parse_args()

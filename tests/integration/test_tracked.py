@@ -6,23 +6,31 @@ import pytest
 
 from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.sim2real.close_loop import judge_flights, load_train_and_test
+from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.progress import silent
 from benchmarks.undeclared import LOGGED, TRACKED, make_case
+from benchmarks.undeclared.nuisance import Nuisance
 
 
-@pytest.mark.usefixtures("coarser_plant", "no_pixels")
-@pytest.mark.parametrize("effects", [{}, {"rotor_drag": "moderate"}])
-def test_neither_is_an_effect_of_the_vehicle(tmp_path: Path, effects: dict[str, str]) -> None:
-    """What is hidden is named and nothing else; the notes say in what flights differ.
-
-    Rules that knew neither gave this seed a misaligned sensor and a tilted motor.
-    """
-    files = make_case(tmp_path, effects=effects, seed=3602, nuisance=TRACKED, num_test=2, duration_s=10.0, rate_hz=200)
+def judged(folder: Path, effects: dict[str, str], seed: int, errors: Nuisance) -> Verdict:
+    """Return what the loop says of a short case; what is hidden is named and nothing else."""
+    files = make_case(folder, effects=effects, seed=seed, nuisance=errors, num_test=2, duration_s=10.0, rate_hz=200)
     robot = robot_by_name(files.robot)
     train, test = load_train_and_test(robot, files.train, files.test, None, 10.0, silent)
     verdict = judge_flights(robot, train, test, bandwidth=10.0).verdict
     assert [effect.name for effect in verdict.effects] == list(effects)
     assert verdict.verdict == ("explained" if effects else "none")
+    return verdict
+
+
+@pytest.mark.usefixtures("coarser_plant", "no_pixels")
+@pytest.mark.parametrize("effects", [{}, {"rotor_drag": "moderate"}])
+def test_neither_is_an_effect_of_the_vehicle(tmp_path: Path, effects: dict[str, str]) -> None:
+    """The notes say in what flights differ.
+
+    Rules that knew neither gave this seed a misaligned sensor and a tilted motor.
+    """
+    verdict = judged(tmp_path, effects, 3602, TRACKED)
     assert "each flight has an offset of its own in specific_force" in verdict.reason
     assert any("offset of its own" in note and "specific_force" in note for note in verdict.notes)
 
@@ -33,9 +41,4 @@ def test_a_late_sensor_and_an_accelerometer_with_a_scale_and_a_place_are_not_eit
     tmp_path: Path, effects: dict[str, str]
 ) -> None:
     """The same of logs whose sensors are up to 6 ms late; rules that did not know it gave this seed four names and more."""
-    files = make_case(tmp_path, effects=effects, seed=3810, nuisance=LOGGED, num_test=2, duration_s=10.0, rate_hz=200)
-    robot = robot_by_name(files.robot)
-    train, test = load_train_and_test(robot, files.train, files.test, None, 10.0, silent)
-    verdict = judge_flights(robot, train, test, bandwidth=10.0).verdict
-    assert [effect.name for effect in verdict.effects] == list(effects)
-    assert verdict.verdict == ("explained" if effects else "none")
+    judged(tmp_path, effects, 3810, LOGGED)

@@ -235,9 +235,8 @@ class Together:
         if velocity != attitude:  # there it is that of the velocity, in those axes
             force = torch.where(felt, force, force - (velocity - attitude) * self.data.kinematic_jerk)
         implied = self._read_of_kinematics(model, logged, turn)
-        if (
-            logged.acc_scale.any()
-        ):  # of the force that is predicted: the noise of what kinematics imply looks like a scale
+        if logged.acc_scale.any():
+            # Of the force that is predicted: of what kinematics imply, their noise would look like a scale.
             more = force * logged.acc_scale * felt
             force = force + more
             pairs = zip(implied["kinematic_force"], columns_of(more), strict=True)
@@ -353,7 +352,8 @@ class Together:
         """Return what the effects of a model see in every row; ``at_origin``: those at hubs (``condition_at_origin``)."""
         motion = asked.logged.rotor_motion
         speeds = asked.speeds if self.data.speed is None else None
-        numbers = torch.cat((motion, asked.logged.attitude, asked.logged.delays)).numpy().tobytes()
+        pose_late = motion.new_tensor(self._on_clock(asked.logged)[3:])
+        numbers = torch.cat((motion, asked.logged.attitude, pose_late)).numpy().tobytes()
         key = (at_origin, *_seen_by_condition(model, at_origin=at_origin), numbers)
         known = self._conditions.get(key)
         if known is not None and known[0] is speeds:
