@@ -160,10 +160,7 @@ class Fitter:
         key = tuple(structures)
         if more is None and key in self._beside:
             return self._beside[key]
-        if self._tolerance is None:
-            base = self.predictor.predict(self._present)
-            self._tolerance = single(tolerance_jacobian(self.predictor, self._present, base))
-        parts: list[Sequence[Part]] = [self._tolerance, *(one.columns for one in structures if not one.of_flights)]
+        parts: list[Sequence[Part]] = [self.tolerance, *(one.columns for one in structures if not one.of_flights)]
         flights = list(zip(*parts, *([] if more is None else [more]), strict=True))
         times, weight = self.predictor.times, self.weights.weight
         offsets = offsets_of(structures, self.predictor.channels, weight)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.sim2real.identify.candidates.library import Library
-from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal, posterior
+from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal, log_evidences, posterior
 from aerial_gym.sim2real.identify.evidence.linear import LinearFit, candidates_of, normal_of
 from aerial_gym.sim2real.identify.evidence.search import Sets
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import WEAK_PRIOR
@@ -90,28 +90,28 @@ class Guard:
         if model not in self._support:
             values = self._sets.look([model, *(tuple(k for k in model if k != gone) for gone in model)])
             odds = dict(zip(model, (values[0] - values[1:]).tolist(), strict=True))
-            self._support[model] = supports(self._candidates, self._whole, self._parts, odds)
+            step = posterior(self._candidates, self._whole, model).step
+            self._support[model] = supports(self._candidates, self._whole, self._parts, step, odds)
         return self._support[model]
 
 
-def supports_of_fit(fit: LinearFit, log_names: float) -> dict[str, Support]:
-    """Return what speaks for each effect of a fitted set, about the fit."""
-    whole = posterior(fit.candidates, fit.whole, fit.model).log_evidence
-    odds = {}
-    for gone in fit.model:
-        less = posterior(fit.candidates, fit.whole, tuple(k for k in fit.model if k != gone)).log_evidence
-        odds[gone] = whole - less - log_names
-    found = supports(fit.candidates, fit.whole, fit.parts, odds)
+def supports_of_fit(fit: LinearFit, step: Array, log_names: float) -> dict[str, Support]:
+    """Return what speaks for each effect of a fitted set, about the fit, whose most probable ``step`` is given, (k,)."""
+    reduced, once = fit.candidates.without_tolerances(), fit.whole.marginal(fit.candidates.tolerances)
+    values = log_evidences(
+        reduced, once, [fit.model, *(tuple(k for k in fit.model if k != gone) for gone in fit.model)]
+    )
+    odds = dict(zip(fit.model, (values[0] - values[1:] - log_names).tolist(), strict=True))
+    found = supports(fit.candidates, fit.whole, fit.parts, step, odds)
     return {fit.candidates.exclusive[k]: one for k, one in found.items()}
 
 
 def supports(
-    candidates: Candidates, whole: Normal, parts: Sequence[Normal], log_odds: Mapping[int, float]
+    candidates: Candidates, whole: Normal, parts: Sequence[Normal], step: Array, log_odds: Mapping[int, float]
 ) -> dict[int, Support]:
-    """Return what speaks for each candidate of a set, whose log odds against the set without it are given."""
+    """Return what speaks for each candidate of a set, whose most probable ``step`` and log odds without each are given."""
     model = tuple(log_odds)
     columns, count = candidates.columns_of(model)
-    step = posterior(candidates, whole, model).step
     precision = np.ones(columns.size)
     precision[:count] = 2.0 / (1.0 + step[:count] ** 2)  # of the Cauchy prior there
     covariance = np.linalg.inv(whole.product[np.ix_(columns, columns)] + np.diag(precision))

@@ -15,7 +15,7 @@ Sources:
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -89,12 +89,11 @@ class Integrated:
         """Take the sums, the columns to integrate out, and those of which sums may be asked for."""
         there = columns[:, None]
         root = np.linalg.cholesky(normal.product[there, columns] + np.eye(columns.size))
-        right = np.column_stack((normal.product[there, kept], normal.gradient[columns]))
-        solved = _solve_triangular(root.T, right, trans=1)[0] if columns.size else right
+        solved = _solve_lower(root, np.column_stack((normal.product[there, kept], normal.gradient[columns])))
         across, right = np.zeros((columns.size, normal.gradient.size)), solved[:, -1]
         across[:, kept] = solved[:, :-1]
-        self._normal, self._across, self._right = normal, across, right
-        self._constant = normal.constant + 0.5 * float(right @ right) - float(np.log(np.diag(root)).sum())
+        self._normal, self._columns, self._root, self._across, self._right = normal, columns, root, across, right
+        self._constant = normal.constant + 0.5 * float(right @ right) - _half_log_det(root)
 
     def sums(self, kept: Indices) -> Normal:
         """Return those of some columns."""
@@ -103,6 +102,32 @@ class Integrated:
         return Normal(
             product=product - across.T @ across, gradient=gradient - across.T @ self._right, constant=self._constant
         )
+
+    def sums_without(self, gone: Indices, kept: Indices) -> Normal:
+        """Return those of ``kept`` columns beside what is integrated out, some of which, ``gone``, are not there after all.
+
+        They are held at zero: what the others then explain less is as much as their own steps, over their covariance, say.
+        """
+        inverse = _solve_lower(self._root, (self._columns[:, None] == gone).astype(np.float64))
+        steps = inverse.T @ np.column_stack((self._across[:, kept], self._right))
+        root = np.linalg.cholesky(inverse.T @ inverse)
+        solved, sums = _solve_lower(root, steps), self.sums(kept)
+        across, right = solved[:, :-1], solved[:, -1]
+        return Normal(
+            product=sums.product + across.T @ across,
+            gradient=sums.gradient + across.T @ right,
+            constant=sums.constant - 0.5 * float(right @ right) - _half_log_det(root),
+        )
+
+
+def _solve_lower(root: Array, right: Array) -> Array:
+    """Return ``root^-1 right`` for a lower triangular matrix."""
+    return _solve_triangular(root.T, right, trans=1)[0] if root.size and right.size else right
+
+
+def _half_log_det(root: Array) -> float:
+    """Return half the log determinant of what has this Cholesky factor."""
+    return float(np.log(np.diag(root)).sum())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,30 +250,43 @@ def log_evidences(candidates: Candidates, normal: Normal, models: Sequence[Model
 def _without(candidates: Candidates, normal: Normal, wanted: Mapping[Model, Indices]) -> dict[Model, Normal]:
     """Return the sums of the ``wanted`` columns with each set of structures, and the tolerances, integrated out.
 
-    Neighbours differ in one structure: what most of them have in common is integrated out once, and then the one of each.
+    Neighbours differ in one structure: one set that is next to most of them is integrated out, and then the structure that each
+    has more, or has not.
     """
-    count = Counter(less for one in wanted for less in _one_less(one))
-    alike: dict[Model, list[Model]] = {}
+    larger: dict[Model, list[Model]] = {}
     for one in wanted:
-        alike.setdefault(max(_one_less(one), key=count.__getitem__, default=one), []).append(one)
+        for less in _one_less(one):
+            larger.setdefault(less, []).append(one)
+    beside = {one: [one, *larger.get(one, []), *_one_less(one)] for one in wanted}
+    count = Counter(other for others in beside.values() for other in others)
+    alike: dict[Model, list[Model]] = {}
+    for one, others in beside.items():
+        alike.setdefault(max(others, key=count.__getitem__), []).append(one)
     found: dict[Model, Normal] = {}
-    for common, sets in alike.items():
-        if len(sets) == 1 or not all(sets):
-            found |= {one: normal.beside(_joined(candidates, one), wanted[one]) for one in sets}
-            continue
-        own = [candidates.columns[next(iter(set(one).difference(common)))] for one in sets]
-        kept = np.unique(np.concatenate([*own, *(wanted[one] for one in sets)]))
-        shared = Integrated(normal, _joined(candidates, common), kept)
-        for one, columns in zip(sets, own, strict=True):
-            both = np.arange(columns.size + wanted[one].size)
-            sums = shared.sums(np.concatenate((columns, wanted[one])))
-            found[one] = sums.beside(both[: columns.size], both[columns.size :])
+    for centre, sets in alike.items():
+        own = {one: _columns(candidates, set(one).symmetric_difference(centre)) for one in sets}
+        kept = np.unique(np.concatenate([*own.values(), *(wanted[one] for one in sets)]))
+        shared = Integrated(normal, _joined(candidates, centre), kept)
+        for one, columns in own.items():
+            if len(one) > len(centre):
+                both = np.arange(columns.size + wanted[one].size)
+                sums = shared.sums(np.concatenate((columns, wanted[one])))
+                found[one] = sums.beside(both[: columns.size], both[columns.size :])
+            elif len(one) < len(centre):
+                found[one] = shared.sums_without(columns, wanted[one])
+            else:
+                found[one] = shared.sums(wanted[one])
     return found
+
+
+def _columns(candidates: Candidates, model: Iterable[int]) -> Indices:
+    """Return the columns of some candidates."""
+    return np.concatenate([*(candidates.columns[k] for k in model), np.zeros(0)]).astype(np.int64)
 
 
 def _joined(candidates: Candidates, structures: Model) -> Indices:
     """Return the columns of some structures and the tolerances."""
-    return np.concatenate([*(candidates.columns[k] for k in structures), candidates.tolerances]).astype(np.int64)
+    return np.concatenate((_columns(candidates, structures), candidates.tolerances))
 
 
 def _one_less(model: Model) -> list[Model]:

@@ -87,14 +87,16 @@ def test_many_sets_at_once_have_the_evidence_of_each() -> None:
 
 
 def test_neighbours_in_structures_have_the_evidence_of_each() -> None:
-    """What sets have in common is integrated out once: up to three of four structures, beside up to two effects."""
+    """What sets have in common is integrated out once: up to three of four structures, or one less than all, beside effects."""
     rng = np.random.default_rng(7)
     sums = normal(rng.normal(size=(60, 12)), rng.normal(size=60))
     made_of = replace(candidates(2, 1, 3, 2, 1, 2, low=-0.1, num_tolerances=1), structures=frozenset({2, 3, 4, 5}))
     structures = [own for count in range(4) for own in combinations((2, 3, 4, 5), count)]
-    models = [(*effects, *own) for own in structures for effects in ((), (0,), (0, 1))]
-    expected = [posterior(made_of, sums, model).log_evidence for model in models]
-    np.testing.assert_allclose(log_evidences(made_of, sums, models), expected, atol=1e-9)
+    up_to_three = [(*effects, *own) for own in structures for effects in ((), (0,), (0, 1))]
+    whole = tuple(range(6))
+    for models in (up_to_three, [whole, *combinations(whole, 5)], [(0, 2, 3), (0, 2)]):
+        expected = [posterior(made_of, sums, model).log_evidence for model in models]
+        np.testing.assert_allclose(log_evidences(made_of, sums, models), expected, atol=1e-9)
 
 
 def test_a_structure_has_the_evidence_of_a_normal_prior() -> None:
