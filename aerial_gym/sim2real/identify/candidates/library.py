@@ -102,6 +102,7 @@ def build_library(
     frozen: Frozen = frozenset(),
     skipped: Collection[str] = (),
     structures: Structures | None = None,
+    tolerance: Derivatives | None = None,
     by_channel: bool = False,
     parts: int = 1,
 ) -> Library:
@@ -120,6 +121,7 @@ def build_library(
         skipped: Effects that these flights cannot show.
         structures: Gives the structures that compete with the effects, for the residuals of the present model and the
             derivatives by each effect, (rows, C, any), at each of its starts.
+        tolerance: Derivatives by the deviations, (rows, C, N), about a model near the present one; None: about this.
         by_channel: Whether the moments are those of each channel and flight, without the weights; not with structures.
         parts: In how many parts each flight is.
     """
@@ -172,7 +174,7 @@ def build_library(
         )
         derivatives.append(structure.columns)
         width += places.size
-    derivatives.append(single(tolerance_jacobian(predictor, present, base)))
+    derivatives.append(single(tolerance_jacobian(predictor, present, base)) if tolerance is None else tolerance)
     flights = list(zip(*derivatives, strict=True))
     if by_channel:
         moments = moments_by_channel(residuals, flights)

@@ -152,6 +152,14 @@ class Fitter:
         self._tolerance = None
         self._beside.clear()
 
+    @property
+    def tolerance(self) -> Derivatives:
+        """Return the derivatives by the deviations about the present model, (rows, C, N) of each flight."""
+        if self._tolerance is None:
+            base = self.predictor.predict(self._present)
+            self._tolerance = single(tolerance_jacobian(self.predictor, self._present, base))
+        return self._tolerance
+
     def beside(self, structures: Sequence[Nuisance], more: Sequence[Array] | None = None) -> Beside:
         """Return the tolerances, structures behind them, and ``more`` columns (rows, C, any).
 
@@ -211,7 +219,7 @@ class Fitter:
         if fit.finite:
             linear = linear_about(fit, [self.neutral(name) for name in effects])
             parameters = posterior(linear.candidates, linear.whole, linear.model)
-            support = supports_of_fit(linear, self.log_names)
+            support = supports_of_fit(linear, parameters.step, self.log_names)
         free = fit.free_effects.size
         beyond = self.beside(structures).log_likelihood
         value = parameters.log_evidence + beyond - (len(effects) + len(structures)) * self.log_names

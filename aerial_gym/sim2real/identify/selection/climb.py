@@ -4,8 +4,8 @@ All candidates are linearised about the present model; the posterior over sets t
 fitted as it is, not linearised, and its evidence taken there. The best becomes the present model, until none is better.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +62,10 @@ SETTLED = 0.3
 """The weights of the channels are taken anew until none changes by more than this on the scale of the logarithm."""
 
 
+Way = Callable[["View"], None]
+"""Fits sets that may be better than the present one."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class View:
     """All candidates about a fitted set."""
@@ -81,6 +85,9 @@ class View:
     structures: list[Nuisance]
     sets: Sets
     guard: Guard
+
+    gone: list[Way] = field(default_factory=list)
+    """Ways that lead nowhere from here."""
 
     @property
     def here(self) -> Model:
@@ -159,21 +166,33 @@ class Climber:
         self.predictor, self.declared, self.names, self.progress = predictor, declared, tuple(names), progress
         self.missed = predictor.residuals(declared)
         self.of_flights = most_of_flights(predictor, declared)
-        self.weights = self.weigh(declared)
+        self._weighed: tuple[ModelParams, Weighting] | None = None
         self.skipped = tuple(name for name in EFFECTS if name not in self.names)
 
     def run(self) -> View:
-        """Climb with the weights that the best model leaves, until these no longer change."""
-        params, effects, structures, weights = self.declared, (), (), self.weights
-        for _ in range(MOST_WEIGHINGS):
-            view = self.climb(params, effects, structures, weights)
-            params, effects, structures = view.present.params, view.present.effects, view.present.structures
-            view.let_go()
-            known = params is self.declared  # nothing was found
-            before, weights = weights, self.weights if known else self.weigh(params)
-            if np.all(np.abs(np.log(weights.weight / before.weight)) < SETTLED):
-                break
+        """Climb with the weights that the best model leaves, until these no longer change.
+
+        Only then are rivals fitted, which are many and seldom better.
+        """
+        likely = (self.fit_probable, self.fit_fewer)
+        view = self.start_from(self.declared, (), (), self.weights_about(self.declared))
+        for ways in (likely, (*likely, self.fit_rivals, self.fit_nearest)):
+            for left in reversed(range(MOST_WEIGHINGS)):
+                view = self.climb(view, ways)
+                weights = self.weights_about(view.present.params)
+                change = np.log(weights.weight / view.fitter.weights.weight)
+                if not left or np.all(np.abs(change) < SETTLED):
+                    break
+                view.let_go()
+                view = self.start_from(view.present.params, view.present.effects, view.present.structures, weights)
+        view.let_go()
         return view
+
+    def weights_about(self, params: ModelParams) -> Weighting:
+        """Return the weights that a model leaves; those of the last one are known."""
+        if self._weighed is None or params is not self._weighed[0]:
+            self._weighed = params, self.weigh(params)
+        return self._weighed[1]
 
     def weigh(self, params: ModelParams) -> Weighting:
         """Return the weights of the channels from what all effects and structures together leave over."""
@@ -189,29 +208,33 @@ class Climber:
         linear = [tolerance, *derivatives_at_starts(self.predictor, params, self.declared, several)]
         return weighting(self.predictor, params, common, linear, beyond=beyond)
 
-    def climb(
+    def start_from(
         self, params: ModelParams, effects: tuple[str, ...], structures: tuple[Nuisance, ...], weights: Weighting
     ) -> View:
+        """Return all candidates about a set, or about what holds of it under these weights."""
+        fitter = self.fitter_about(params, weights)
+        present, nothing = fitter.fit(effects, structures, params), fitter.fit((), (), self.declared)
+        while not present.holds:
+            present = fitter.without_weakest(present)
+        return self.look_around(present, {present.label: fitter}, {nothing.label: nothing})
+
+    def climb(self, view: View, ways: Sequence[Way]) -> View:
         """Return the best set that fits lead to from a present one, with all candidates about it."""
-        own: dict[Label, Fitter] = {}
-        start = self.fitter_about(params, weights)
-        present, nothing = start.fit(effects, structures, params), start.fit((), (), self.declared)
-        fits = {nothing.label: nothing, present.label: present}
-        own[present.label] = start
         for count in range(MOST_ROUNDS):
             self.progress(f"sets of effects, round {count + 1}", count / MOST_ROUNDS)
-            view = self.look_around(present, own, fits)
-            for more in (self.fit_probable, self.fit_fewer, self.fit_rivals, self.fit_nearest):
+            present = view.present
+            for more in (way for way in ways if way not in view.gone):
                 settled = -1
-                while settled != len(own) and self.leader(view) is present:  # else what looked best was not
-                    settled = len(own)
+                while settled != len(view.own) and self.leader(view) is present:  # else what looked best was not
+                    settled = len(view.own)
                     more(view)
                     self.leader(view)
+                view.gone.append(more)
             if (leader := self.leader(view)) is present:
                 return view
-            present = leader
-            del view  # its derivatives take memory
-        return self.look_around(present, own, fits)
+            view.library.tangents.clear()  # they take memory
+            view = self.look_around(leader, view.own, view.fits)
+        return view
 
     def fitter_about(self, params: ModelParams, weights: Weighting) -> Fitter:
         """Return what fits sets with the tolerances linear about a model."""
@@ -279,7 +302,7 @@ class Climber:
     def look_around(self, present: Fitted, own: dict[Label, Fitter], fits: dict[Label, Fitted]) -> View:
         """Return all candidates about a model, the posterior over their sets, and the structures among them."""
         flights, times, channels = self.predictor.flights, self.predictor.times, self.predictor.channels
-        structures: list[Nuisance] = []
+        structures, fitter = list[Nuisance](), own[present.label]
         forget_but(own, present.label)
 
         def of_residuals(residuals: list[Array], effects: dict[str, list[Derivatives]]) -> list[Nuisance]:
@@ -291,12 +314,12 @@ class Climber:
             self.declared,
             present.params,
             present.effects,
-            own[present.label].weights.weight,
+            fitter.weights.weight,
             skipped=self.skipped,
             structures=of_residuals,
+            tolerance=fitter.tolerance,
             parts=parts_of_a_flight(len(times)),
         )
-        fitter = own[present.label]
         normal = normal_of(library)
         here = place_of(library, present)
         sets = search(candidates_of(library), normal, starts=[here])

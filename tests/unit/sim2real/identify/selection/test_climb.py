@@ -11,7 +11,9 @@ from aerial_gym.sim2real.identify.candidates.library import Candidate
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted
 from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE
+from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.selection.climb import FAR_BEHIND, Climber, View, reach_of
+from aerial_gym.sim2real.predict.model_params import ModelParams
 from tests.unit.sim2real.fitted_sets import Made, fitted
 
 NAMES = ("com_offset", "rotor_drag", "quadratic_drag", "constant_wind")
@@ -98,3 +100,56 @@ def test_of_a_set_that_cannot_come_near_the_best_no_part_is_fitted(ahead: float,
     view.add(replace(both, most=least + ahead))
     assert both.label in view.fits
     assert (drag.label in view.fits) == tried
+
+
+class Going(Climber):
+    """Goes nowhere, and notes by which ways; weights are given."""
+
+    def __init__(self, *weights: float) -> None:
+        self.declared, self.given, self.gone = ModelParams(), list(weights), list[Any]()
+
+    def weights_about(self, params: ModelParams) -> Weighting:
+        """Return the next one."""
+        weight = self.given.pop(0) if len(self.given) > 1 else self.given[0]
+        return Weighting(variance=np.array([1.0 / weight]), effective=np.ones(1))
+
+    def start_from(self, params: ModelParams, effects: Any, structures: Any, weights: Weighting) -> View:
+        """Return where it starts."""
+        self.gone.append("start")
+        fitter = SimpleNamespace(weights=weights)
+        return cast("Any", SimpleNamespace(present=fitted(), fitter=fitter, let_go=lambda: None))
+
+    def climb(self, view: View, ways: Any) -> View:
+        """Return the same."""
+        self.gone.append("all" if self.fit_rivals in ways else "likely")
+        return view
+
+
+@pytest.mark.parametrize(
+    ("weights", "gone"),
+    [
+        ((1.0, 1.1), ["start", "likely", "all"]),
+        ((1.0, 2.0, 2.1), ["start", "likely", "start", "likely", "all"]),
+        ((1.0, 1.1, 2.0, 2.1), ["start", "likely", "all", "start", "all"]),
+        (tuple(2.0**k for k in range(9)), ["start", *["likely", "start"] * 2, "likely", *["all", "start"] * 2, "all"]),
+    ],
+)
+def test_rivals_are_fitted_once_weights_have_settled(weights: tuple[float, ...], gone: list[str]) -> None:
+    """After three climbs without or with them they are not taken anew."""
+    climber = Going(*weights)
+    climber.run()
+    assert climber.gone == gone
+
+
+def test_a_set_that_does_not_hold_under_new_weights_is_left_for_what_holds_of_it() -> None:
+    """Of drag and a tilt the tilt does not hold: drag is where the climb goes on, not nothing."""
+    both = fitted("rotor_drag", "motor_tilt", odds={"motor_tilt": -1.0})
+    drag = fitted("rotor_drag", log=-3.0)
+
+    climber = SimpleNamespace(
+        declared=ModelParams(),
+        fitter_about=lambda *_: Made(both, drag, fitted(log=-50.0)),
+        look_around=lambda present, own, fits: (present, list(own), list(fits)),
+    )
+    found = Climber.start_from(cast("Any", climber), both.params, both.effects, (), cast("Any", None))
+    assert found == (drag, [drag.label], [()])
