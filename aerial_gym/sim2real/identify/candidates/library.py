@@ -20,7 +20,6 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     bounds_of,
     effect_jacobian,
     is_number,
-    params_of,
     scales,
     tolerance_jacobian,
 )
@@ -87,9 +86,46 @@ class Library:
     tolerances: Indices
     """Places of the tolerances among the K columns."""
 
-    tangents: dict[int, Derivatives] = field(default_factory=dict)
-    """Derivatives (rows, C, P) by all parameters of an effect where it is linearised, by the number of the candidate; not of
-    those that are linearised at several starts."""
+    tangents: list["Tangent"] = field(default_factory=list)
+    """Of the effects, in the order of the candidates."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tangent:
+    """How the prediction changes with the parameters of an effect."""
+
+    name: str
+
+    named: bool
+    """Whether it was fitted in the model about which it is linear."""
+
+    start: Array
+    """All parameters, where it is linear, (P,)."""
+
+    columns: Derivatives
+    """By them, per scale, (rows, C, P) of each flight."""
+
+
+def tangents_about(
+    predictor: Predictor,
+    declared: ModelParams,
+    present: ModelParams,
+    accepted: Sequence[str] = (),
+    skipped: Collection[str] = (),
+) -> list[Tangent]:
+    """Return those of all candidates about a model: of accepted effects at their fitted values, of any other one at neutral.
+
+    Arguments as for ``build_library``.
+    """
+    found, base = list[Tangent](), predictor.predict(present)
+    for name, point in origins(declared, present, accepted, skipped, predictor.robot):
+        named = point is present
+        columns = effect_jacobian(predictor, point, (name,), base if named else predictor.predict(point))
+        if all(
+            np.isfinite(part).all() for part in columns
+        ):  # else a pendulum that goes over the top of the present model
+            found.append(Tangent(name=name, named=named, start=point.effects[name], columns=single(columns)))
+    return found
 
 
 def build_library(
@@ -102,6 +138,7 @@ def build_library(
     frozen: Frozen = frozenset(),
     skipped: Collection[str] = (),
     structures: Structures | None = None,
+    tangents: list[Tangent] | None = None,
     tolerance: Derivatives | None = None,
     by_channel: bool = False,
     parts: int = 1,
@@ -121,27 +158,26 @@ def build_library(
         skipped: Effects that these flights cannot show.
         structures: Gives the structures that compete with the effects, for the residuals of the present model and the
             derivatives by each effect, (rows, C, any), at each of its starts.
+        tangents: Of all candidates about the present model, if they are known.
         tolerance: Derivatives by the deviations, (rows, C, N), about a model near the present one; None: about this.
         by_channel: Whether the moments are those of each channel and flight, without the weights; not with structures.
         parts: In how many parts each flight is.
     """
+    if tangents is None:
+        tangents = tangents_about(predictor, declared, present, accepted, skipped)
     base = predictor.predict(present)
     residuals = here = [m - p for m, p in zip(predictor.measured, base, strict=True)]
-    candidates, width, tangents = [], 0, dict[int, Derivatives]()
+    candidates, width = list[Candidate](), 0
     derivatives, own = list[Sequence[Part]](), dict[str, list[Derivatives]]()
-    for name, point in origins(declared, present, accepted, skipped, predictor.robot):
-        named, neutral, scale = point is present, neutral_of(name, declared, predictor.robot), scales((name,))
-        columns = effect_jacobian(predictor, point, (name,), base if named else predictor.predict(point))
-        if not all(np.isfinite(part).all() for part in columns):
-            continue  # a pendulum that goes over the top of the present model
-        step, tangent = (params_of(point, (name,)) - neutral) / scale, single(columns)
+    for tangent in tangents:
+        name, named, columns = tangent.name, tangent.named, tangent.columns
+        neutral, scale = neutral_of(name, declared, predictor.robot), scales((name,))
         if named:  # back to neutral
-            change = [b - n for b, n in zip(base, predictor.predict(point.with_effect(name, neutral)), strict=True)]
-            exact_along(columns, step, change)
-            residuals = [r + change_along(c, step) for r, c in zip(residuals, columns, strict=True)]
-        columns = single(columns) if named else tangent
-        if named or not has_starts(name, predictor.robot):
-            tangents[len(candidates)] = tangent
+            step, exact = (tangent.start - neutral) / scale, [part.astype(np.float64) for part in columns]
+            change = [b - n for b, n in zip(base, predictor.predict(present.with_effect(name, neutral)), strict=True)]
+            exact_along(exact, step, change)
+            residuals = [r + change_along(c, step) for r, c in zip(residuals, exact, strict=True)]
+            columns = single(exact)
         free = [k for k in range(scale.size) if is_number(name, k) and not (named and (name, k) in frozen)]
         low, high = (((bound - neutral) / scale)[free] for bound in bounds_of(predictor.robot, (name,)))
         places = np.array(free, dtype=int) + width
@@ -152,7 +188,7 @@ def build_library(
                 columns=places,
                 low=low,
                 high=high,
-                start=point.effects[name],
+                start=tangent.start,
             )
         )
         derivatives.append(columns)
@@ -216,14 +252,6 @@ def starts(name: str, point: ModelParams, declared: ModelParams, robot: RobotCfg
 def has_starts(name: str, robot: RobotCfg) -> bool:
     """Return whether fits of an effect start from several parameters."""
     return len(EFFECTS.get(name).starts(robot)) > 1
-
-
-def derivatives_at_starts(
-    predictor: Predictor, present: ModelParams, declared: ModelParams, names: Sequence[str]
-) -> list[Derivatives]:
-    """Return the derivatives (rows, C, P) by each of some effects on top of a model, at each of their starts."""
-    points = [(name, point) for name in names for point in starts(name, present, declared, predictor.robot)]
-    return [single(effect_jacobian(predictor, point, (name,), predictor.predict(point))) for name, point in points]
 
 
 def has_rotor(name: str) -> bool:

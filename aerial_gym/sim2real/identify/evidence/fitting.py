@@ -252,10 +252,10 @@ class Fitter:
         for start in self.starts_of(library, sets, model):
             base = self.predictor.predict(start)
             parts = [
-                library.tangents[k]
-                if k in library.tangents
-                else effect_jacobian(self.predictor, start, (library.candidates[k].name,), base)
-                for k in effects
+                effect_jacobian(self.predictor, start, (tangent.name,), base)
+                if has_starts(tangent.name, self.predictor.robot) and not tangent.named
+                else tangent.columns
+                for tangent in (library.tangents[k] for k in effects)
             ]
             derivatives = [np.concatenate(columns, axis=2) for columns in zip(*parts, strict=True)] if parts else None
             found.append(self.fit(names, kept, start, derivatives, compared=compared))

@@ -5,12 +5,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, change_along, exact_along
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     UNIT,
     best_step,
-    effect_jacobian,
     fit_of_moments,
     params_of,
     scales,
@@ -28,6 +26,7 @@ def weighting(
     predictor: Predictor,
     start: ModelParams,
     effects: tuple[str, ...],
+    derivatives: Derivatives,
     linear: Sequence[Derivatives],
     *,
     beyond: Callable[[list[Array], Weighting], list[Array]] | None = None,
@@ -35,15 +34,12 @@ def weighting(
     """Return the weights of the channels from what no candidate effect explains.
 
     All effects and what is ``linear`` beside them, tolerances among it, (rows, C, any) each, are fitted together, three times,
-    each time weighted by what the fit before left over; with ``beyond``, by what that makes of it.
+    each time weighted by what the fit before left over; with ``beyond``, by what that makes of it. ``derivatives`` are those by
+    the effects at the start, (rows, C, P).
     """
-    point = start
-    for name in effects:
-        if name not in point.effects:
-            point = point.with_effect(name, np.array(EFFECTS.get(name).neutral(predictor.robot)))
-    found = weights_from(predictor.residuals(start))
+    point, own = start, [part.astype(np.float64) for part in derivatives]
     predicted = predictor.predict(point)
-    own = effect_jacobian(predictor, point, effects, predicted)
+    found = weights_from([m - p for m, p in zip(predictor.measured, predicted, strict=True)])
     ends = np.cumsum([0, *(part[0].shape[2] for part in linear)])[:-1]
     for _ in range(3):
         residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.library import (
     Library,
+    Tangent,
     build_library,
-    derivatives_at_starts,
     has_starts,
+    tangents_about,
 )
 from aerial_gym.sim2real.identify.candidates.nuisance import (
     Nuisance,
@@ -161,12 +162,14 @@ class View:
 class Climber:
     """Goes from set to set until none is better."""
 
+    _weighed: tuple[ModelParams, Weighting]
+    """The last model whose weights were taken, and these."""
+
     def __init__(self, predictor: Predictor, declared: ModelParams, names: Sequence[str], progress: Progress) -> None:
         """Take training flights, the declared model, and the effects that may be in a set."""
         self.predictor, self.declared, self.names, self.progress = predictor, declared, tuple(names), progress
         self.missed = predictor.residuals(declared)
         self.of_flights = most_of_flights(predictor, declared)
-        self._weighed: tuple[ModelParams, Weighting] | None = None
         self.skipped = tuple(name for name in EFFECTS if name not in self.names)
 
     def run(self) -> View:
@@ -175,11 +178,11 @@ class Climber:
         Only then are rivals fitted, which are many and seldom better.
         """
         likely = (self.fit_probable, self.fit_fewer)
-        view = self.start_from(self.declared, (), (), self.weights_about(self.declared))
+        view = self.start()
         for ways in (likely, (*likely, self.fit_rivals, self.fit_nearest)):
             for left in reversed(range(MOST_WEIGHINGS)):
                 view = self.climb(view, ways)
-                weights = self.weights_about(view.present.params)
+                weights = self.weights_about(view)
                 change = np.log(weights.weight / view.fitter.weights.weight)
                 if not left or np.all(np.abs(change) < SETTLED):
                     break
@@ -188,35 +191,51 @@ class Climber:
         view.let_go()
         return view
 
-    def weights_about(self, params: ModelParams) -> Weighting:
+    def start(self) -> View:
+        """Return all candidates about the declared model, under the weights that it leaves."""
+        tangents = tangents_about(self.predictor, self.declared, self.declared, skipped=self.skipped)
+        tolerance = tolerance_jacobian(self.predictor, self.declared, self.predictor.predict(self.declared))
+        self._weighed = self.declared, self.weigh(self.declared, tangents, single(tolerance))
+        return self.start_from(self.declared, (), (), self._weighed[1], tangents)
+
+    def weights_about(self, view: View) -> Weighting:
         """Return the weights that a model leaves; those of the last one are known."""
-        if self._weighed is None or params is not self._weighed[0]:
-            self._weighed = params, self.weigh(params)
+        params = view.present.params
+        if params is not self._weighed[0]:
+            self._weighed = params, self.weigh(params, view.library.tangents, view.fitter.tolerance)
         return self._weighed[1]
 
-    def weigh(self, params: ModelParams) -> Weighting:
+    def weigh(self, params: ModelParams, tangents: Sequence[Tangent], tolerance: Derivatives) -> Weighting:
         """Return the weights of the channels from what all effects and structures together leave over."""
-        common = tuple(name for name in self.names if not has_starts(name, self.predictor.robot))
-        several = [name for name in self.names if name not in common and name not in params.effects]
-        tolerance = single(tolerance_jacobian(self.predictor, params, self.predictor.predict(params)))
         flights, times, channels = self.predictor.flights, self.predictor.times, self.predictor.channels
+        several = [one for one in tangents if has_starts(one.name, self.predictor.robot)]
+        common = [one for one in tangents if not has_starts(one.name, self.predictor.robot)]
+        start = params
+        for one in common:
+            start = start.with_effect(one.name, one.start)
 
         def beyond(residuals: list[Array], weights: Weighting) -> list[Array]:
             structures = structures_of(flights, times, channels, self.missed, residuals, {}, self.of_flights)
             return beyond_structures(structures, residuals, weights)
 
-        linear = [tolerance, *derivatives_at_starts(self.predictor, params, self.declared, several)]
-        return weighting(self.predictor, params, common, linear, beyond=beyond)
+        linear = [tolerance, *(one.columns for one in several if one.name not in params.effects)]
+        own = [np.concatenate(parts, axis=2) for parts in zip(*(one.columns for one in common), strict=True)]
+        return weighting(self.predictor, start, tuple(one.name for one in common), own, linear, beyond=beyond)
 
     def start_from(
-        self, params: ModelParams, effects: tuple[str, ...], structures: tuple[Nuisance, ...], weights: Weighting
+        self,
+        params: ModelParams,
+        effects: tuple[str, ...],
+        structures: tuple[Nuisance, ...],
+        weights: Weighting,
+        tangents: list[Tangent] | None = None,
     ) -> View:
         """Return all candidates about a set, or about what holds of it under these weights."""
         fitter = self.fitter_about(params, weights)
         present, nothing = fitter.fit(effects, structures, params), fitter.fit((), (), self.declared)
         while not present.holds:
             present = fitter.without_weakest(present)
-        return self.look_around(present, {present.label: fitter}, {nothing.label: nothing})
+        return self.look_around(present, {present.label: fitter}, {nothing.label: nothing}, tangents)
 
     def climb(self, view: View, ways: Sequence[Way]) -> View:
         """Return the best set that fits lead to from a present one, with all candidates about it."""
@@ -299,7 +318,13 @@ class Climber:
             if np.isfinite(values.get(best, -np.inf)):
                 view.fit(best, however_far=True)
 
-    def look_around(self, present: Fitted, own: dict[Label, Fitter], fits: dict[Label, Fitted]) -> View:
+    def look_around(
+        self,
+        present: Fitted,
+        own: dict[Label, Fitter],
+        fits: dict[Label, Fitted],
+        tangents: list[Tangent] | None = None,
+    ) -> View:
         """Return all candidates about a model, the posterior over their sets, and the structures among them."""
         flights, times, channels = self.predictor.flights, self.predictor.times, self.predictor.channels
         structures, fitter = list[Nuisance](), own[present.label]
@@ -317,6 +342,7 @@ class Climber:
             fitter.weights.weight,
             skipped=self.skipped,
             structures=of_residuals,
+            tangents=tangents,
             tolerance=fitter.tolerance,
             parts=parts_of_a_flight(len(times)),
         )

@@ -108,13 +108,17 @@ class Going(Climber):
     def __init__(self, *weights: float) -> None:
         self.declared, self.given, self.gone = ModelParams(), list(weights), list[Any]()
 
-    def weights_about(self, params: ModelParams) -> Weighting:
+    def weights_about(self, view: View) -> Weighting:
         """Return the next one."""
         weight = self.given.pop(0) if len(self.given) > 1 else self.given[0]
         return Weighting(variance=np.array([1.0 / weight]), effective=np.ones(1))
 
-    def start_from(self, params: ModelParams, effects: Any, structures: Any, weights: Weighting) -> View:
+    def start(self) -> View:
         """Return where it starts."""
+        return self.start_from(self.declared, (), (), self.weights_about(cast("Any", None)))
+
+    def start_from(self, params: ModelParams, effects: Any, structures: Any, weights: Weighting, *_: Any) -> View:
+        """Return where it goes on."""
         self.gone.append("start")
         fitter = SimpleNamespace(weights=weights)
         return cast("Any", SimpleNamespace(present=fitted(), fitter=fitter, let_go=lambda: None))
@@ -145,11 +149,10 @@ def test_a_set_that_does_not_hold_under_new_weights_is_left_for_what_holds_of_it
     """Of drag and a tilt the tilt does not hold: drag is where the climb goes on, not nothing."""
     both = fitted("rotor_drag", "motor_tilt", odds={"motor_tilt": -1.0})
     drag = fitted("rotor_drag", log=-3.0)
-
     climber = SimpleNamespace(
         declared=ModelParams(),
         fitter_about=lambda *_: Made(both, drag, fitted(log=-50.0)),
-        look_around=lambda present, own, fits: (present, list(own), list(fits)),
+        look_around=lambda present, own, fits, _: (present, list(own), list(fits)),
     )
     found = Climber.start_from(cast("Any", climber), both.params, both.effects, (), cast("Any", None))
     assert found == (drag, [drag.label], [()])
