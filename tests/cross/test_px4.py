@@ -7,7 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.control.px4.attitude import canonical, shortest_turn, wanted_rates
+from aerial_gym.control.px4.attitude import wanted_rates
+from aerial_gym.control.reduced_attitude import canonical, shortest_turn
 from aerial_gym.math.quaternion import quat_conjugate, quat_exp, quat_from_euler, quat_multiply, quat_rotate
 from tests.cross.firmware.px4_pairs import attitude_cases, attitude_pair, position_pairs, rate_pair, read_vectors
 

@@ -9,27 +9,8 @@ Source: Brescianini, Hehn, D'Andrea (2013), Nonlinear quadrocopter attitude cont
 import torch
 from torch import Tensor
 
-from aerial_gym.math.quaternion import quat_conjugate, quat_multiply, quat_rotate, quat_rotate_inverse
-from aerial_gym.math.rows import atan2
-
-OPPOSITE = 1e-5
-"""Below this length of ``a x b``, with a and b opposite, there is no shortest turn between them. Source: PX4, ``matrix``."""
-
-
-def shortest_turn(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the quaternion (E, 4) that turns unit vectors a to b (E, 3), and whether there is one, bool (E, 1).
-
-    Source: Derived: ``(a x b, 1 + a . b)``, normalised, is half the turn.
-    """
-    cross, dot = torch.linalg.cross(a, b), (a * b).sum(-1, keepdim=True)
-    exists = ((cross * cross).sum(-1, keepdim=True) >= OPPOSITE**2) | (dot > 0.0)
-    half = torch.cat((cross, torch.where(exists, 1.0 + dot, 1.0)), dim=-1)
-    return half / half.norm(dim=-1, keepdim=True), exists
-
-
-def canonical(q: Tensor) -> Tensor:
-    """Return the quaternion of the same turn with ``w >= 0``, (E, 4)."""
-    return torch.where(q[:, 3:] < 0.0, -q, q)
+from aerial_gym.control.reduced_attitude import tilt_first_error, up_axis
+from aerial_gym.math.quaternion import quat_rotate_inverse
 
 
 def wanted_rates(
@@ -37,8 +18,7 @@ def wanted_rates(
 ) -> Tensor:
     """Return the body rates [rad/s], (E, 3), that turn to an attitude: at once to its tilt, less to its heading.
 
-    The wanted turn is that of body z by the shortest way, then a share of the one about it that is left. The rates are twice
-    the vector part of the quaternion of all that, times the gains, plus the yaw rate.
+    The rates are twice ``reduced_attitude.tilt_first_error``, times the gains, plus the yaw rate.
 
     Args:
         attitude: Body to world, (E, 4).
@@ -48,21 +28,10 @@ def wanted_rates(
         yaw_weight: Share of the heading error that is turned to, > 0 and <= 1, (E, 1).
         limit: Largest rates [rad/s], (E, 3).
     """
-    up, wanted_up = (quat_rotate(q, _like(q, (0.0, 0.0, 1.0))) for q in (attitude, wanted))
-    turn, exists = shortest_turn(up, wanted_up)
-    tilted = torch.where(exists, quat_multiply(turn, attitude), wanted)
-    heading = canonical(quat_multiply(quat_conjugate(tilted), wanted))
-    half = yaw_weight * atan2(heading[:, 2:3], heading[:, 3:])
-    zero = torch.zeros_like(half)
-    part = torch.cat((zero, zero, torch.sin(half), torch.cos(half)), dim=-1)
-    error = canonical(quat_multiply(quat_conjugate(attitude), quat_multiply(tilted, part)))[:, :3]
+    error = tilt_first_error(attitude, wanted, yaw_weight)
     scaled = torch.cat((gain[:, :2], gain[:, 2:] / yaw_weight), dim=-1)
-    rates = 2.0 * scaled * error + yaw_rate.unsqueeze(-1) * quat_rotate_inverse(attitude, _like(up, (0.0, 0.0, 1.0)))
+    rates = 2.0 * scaled * error + yaw_rate.unsqueeze(-1) * quat_rotate_inverse(attitude, up_axis(attitude))
     return torch.minimum(torch.maximum(rates, -limit), limit)
-
-
-def _like(rows: Tensor, vector: tuple[float, float, float]) -> Tensor:
-    return rows.new_tensor(vector).expand(len(rows), 3)
 
 
 def attitude_from_thrust(thrust: Tensor, yaw: Tensor) -> Tensor:

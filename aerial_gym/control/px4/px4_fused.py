@@ -14,9 +14,9 @@ from torch import Tensor
 from aerial_gym.control.cascade_fused import make_allot, make_remembering, make_two_levels
 from aerial_gym.control.lee_fused import from_vehicle_frame, inverse_cos_pitch, read_vec3, up_of, write_vec3
 from aerial_gym.control.px4.rates import FADING_RATE, LowPass2
+from aerial_gym.control.reduced_attitude_fused import tilt_first_error
 from aerial_gym.control.timing import Timing
 from aerial_gym.physics.fused.command import make_speed_of
-from aerial_gym.physics.fused.functions import rotate
 from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.fused.memory import LawArrays
 from aerial_gym.physics.fused.types import rotor_types
@@ -104,36 +104,11 @@ def within(vector: wp.vec2, most: float) -> wp.vec2:
 
 
 @wp.func
-def shortest_turn(a: wp.vec3, b: wp.vec3) -> wp.quat:
-    """Return the quaternion that turns unit vectors a to b; zeros where there is none."""
-    cross = wp.cross(a, b)
-    dot = wp.dot(a, b)
-    turn = wp.quat()
-    if wp.dot(cross, cross) >= 1.0e-10 or dot > 0.0:
-        turn = wp.normalize(wp.quat(cross[0], cross[1], cross[2], 1.0 + dot))
-    return turn
-
-
-@wp.func
-def canonical(q: wp.quat) -> wp.quat:
-    """Return the quaternion of the same turn with ``w >= 0``."""
-    return wp.where(q[3] < 0.0, -q, q)
-
-
-@wp.func
 def wanted_rates(gains: Px4Rows, attitude: wp.quat, wanted: wp.quat, yaw_rate: float) -> wp.vec3:
     """Return ``attitude.wanted_rates`` [rad/s], body."""
-    up = rotate(attitude, wp.vec3(0.0, 0.0, 1.0))
-    turn = shortest_turn(up, rotate(wanted, wp.vec3(0.0, 0.0, 1.0)))
-    tilted = wanted
-    if wp.length_sq(turn) > 0.0:
-        tilted = turn * attitude
-    heading = canonical(wp.quat_inverse(tilted) * wanted)
-    half = gains.yaw_weight * wp.atan2(heading[2], heading[3])
-    part = wp.quat(0.0, 0.0, wp.sin(half), wp.cos(half))
-    error = canonical(wp.quat_inverse(attitude) * (tilted * part))
+    error = tilt_first_error(attitude, wanted, gains.yaw_weight)
     gain = wp.vec3(gains.attitude[0], gains.attitude[1], gains.attitude[2] / gains.yaw_weight)
-    rates = 2.0 * wp.cw_mul(gain, wp.vec3(error[0], error[1], error[2])) + yaw_rate * up_of(attitude)
+    rates = 2.0 * wp.cw_mul(gain, error) + yaw_rate * up_of(attitude)
     return wp.min(wp.max(rates, -gains.rate_limit), gains.rate_limit)
 
 

@@ -8,9 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from aerial_gym.control.px4.attitude import attitude_from_thrust, canonical, wanted_rates
+from aerial_gym.control.px4.attitude import attitude_from_thrust, wanted_rates
 from aerial_gym.control.px4.position import PositionGains, limited_velocity, velocity_control
 from aerial_gym.control.px4.rates import grown_integral, rate_torque
+from aerial_gym.control.reduced_attitude import canonical
 from tests.cross.firmware import px4_vectors as made
 
 GRAVITY = 9.80665
