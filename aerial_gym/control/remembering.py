@@ -37,8 +37,8 @@ class Layout:
 
 
 def layout_of(timing: Timing, *, own: int, num_rotors: int, num_actions: int) -> Layout:
-    """Return the places: ``own`` numbers of the controller (none without a rate loop), then the held command (R)."""
-    actions = 4 * timing.setpoint_slots if own else 0
+    """Return the places: ``own`` numbers of the controller, then the held command (R)."""
+    actions = 4 * timing.setpoint_slots
     return Layout(
         own, own + (num_rotors if timing.loop > 1 else 0), actions, actions + timing.action_slots * num_actions
     )
