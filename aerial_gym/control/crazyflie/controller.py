@@ -22,7 +22,7 @@ from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.crazyflie import crazyflie_fused, mellinger, pid
 from aerial_gym.control.crazyflie.distribution import MOST_COUNTS, require_position, signs_of, told
-from aerial_gym.control.crazyflie.parameters import Derived, mellinger_gains, pid_gains
+from aerial_gym.control.crazyflie.parameters import DerivedCounts, mellinger_gains, pid_gains
 from aerial_gym.control.gains import autopilot_of
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.remembering import RememberingController, layout_of
@@ -34,7 +34,7 @@ from aerial_gym.physics.vehicle import Vehicle
 
 
 class _Crazyflie(RememberingController):
-    """What both have in common: a power distribution."""
+    """What all have in common: parameters, and a point to fly to."""
 
     named_gains: Mapping[str, Tensor] = MappingProxyType({})
     """None are drawn: they are the Crazyflie's parameters, one set for all."""
@@ -50,10 +50,20 @@ class _Crazyflie(RememberingController):
         self.timing = timing = timing_of(replace(cfg, **{cfg.autopilot: self._own}), dt)
         self.action_names = LAWS[cfg.law].action
         self.allocation = Allocation(vehicle, gravity, saturation=cfg.allocation, effectiveness=control.effectiveness)
-        self._signs = signs_of(cfg.law, vehicle, self.allocation, gravity)
-        self._derived = Derived(cfg, control, vehicle, self.allocation, self._signs, gravity=gravity, timing=timing)
         self._layout = layout_of(
             timing, own=self.own_numbers, num_rotors=vehicle.num_rotors, num_actions=len(self.action_names)
+        )
+
+
+class _CrazyflieInCounts(_Crazyflie):
+    """What those that answer in counts have in common: a power distribution."""
+
+    def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
+        """Take what ``make_controller`` does."""
+        super().__init__(cfg, vehicle, gravity, dt=dt, control=control)
+        self._signs = signs_of(cfg.law, vehicle, self.allocation, gravity)
+        self._derived = DerivedCounts(
+            cfg, control, vehicle, self.allocation, self._signs, gravity=gravity, timing=self.timing
         )
 
     def _speeds(self, thrust: Tensor, moment: Tensor) -> Tensor:
@@ -61,7 +71,15 @@ class _Crazyflie(RememberingController):
         return self.allocation.speed(self.allocation.high * told(thrust, moment, self._signs) / MOST_COUNTS)
 
 
-class MellingerController(_Crazyflie):
+def _point(action: Tensor) -> mellinger.FlatTarget:
+    """Return the point at rest, and the yaw, that an action (E, 4) names."""
+    still = torch.zeros_like(action[:, :3])
+    return mellinger.FlatTarget(
+        position=action[:, :3], velocity=still, acceleration=still, yaw=action[:, 3], rates=still
+    )
+
+
+class MellingerController(_CrazyflieInCounts):
     """``crazyflie_mellinger_control``."""
 
     own_numbers = mellinger.WIDTH
@@ -76,15 +94,12 @@ class MellingerController(_Crazyflie):
         return torch.zeros_like(self.gains.mass[0, 0])  # nothing is on its way
 
     def _run(self, state: BodyState, action: Tensor, memory: LawMemory, sent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        still, kept = torch.zeros_like(state.position), memory.numbers[:, : self.own_numbers]
+        kept = memory.numbers[:, : self.own_numbers]
         begins = (memory.since == 0).unsqueeze(-1)
         kept = torch.cat((kept[:, :6], torch.where(begins, state.ang_vel[:, :2], kept[:, 6:])), dim=-1)
-        target = mellinger.FlatTarget(
-            position=action[:, :3], velocity=still, acceleration=still, yaw=action[:, 3], rates=still
-        )
         thrust, moment, kept = mellinger.mellinger_control(
             state,
-            target,
+            _point(action),
             kept,
             self.gains,
             gravity=self._derived.gravity,
@@ -109,7 +124,7 @@ class MellingerController(_Crazyflie):
         )
 
 
-class PidController(_Crazyflie):
+class PidController(_CrazyflieInCounts):
     """``crazyflie_pid_control``."""
 
     own_numbers = pid.INNER_NUMBERS + pid.OUTER_NUMBERS

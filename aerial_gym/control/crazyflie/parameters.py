@@ -1,7 +1,8 @@
 """Parameters of the Crazyflie's controllers as rows of tensors, what is left out derived from the vehicle.
 
-Derived gains are those of ``control.gains`` in counts: torque at hover per attitude and rate error, acceleration per position
-and velocity error. Integrals are slower than their proportional part by a², with the a of that module.
+Derived gains are those of ``control.gains``, where a controller answers in counts in these: torque at hover per attitude and
+rate error, acceleration per position and velocity error. Integrals are slower than their proportional part by a², with the a of
+that module.
 Letters: E environments, R rotors.
 """
 
@@ -30,21 +31,20 @@ LEAST_OF_HOVER = 5.0 / 9.0
 
 
 class Derived:
-    """Gains of a declared vehicle in counts, and rows for all environments."""
+    """Gains of a declared vehicle, and rows for all environments."""
 
     def __init__(
-        self, cfg: ControllerCfg, control: ControlCfg, vehicle: Vehicle, allocation: Allocation, signs: Tensor, *,
-        gravity: float, timing: Timing,
+        self, cfg: ControllerCfg, control: ControlCfg, vehicle: Vehicle, allocation: Allocation, *, gravity: float,
+        timing: Timing,
     ) -> None:  # fmt: skip
         base: LeeGains = gains_for(
             cfg, control, vehicle, allocation, gravity=gravity, dt=timing.loop * timing.dt, extra_lag=timing.extra_lag
         )
         self.vehicle, self.slow = vehicle, spacing_of(control.phase_margin) ** 2
-        self.mass, self.per_newton = float(vehicle.mass[0]), MOST_COUNTS / float(allocation.high[0].sum())
+        self.mass = float(vehicle.mass[0])
         self.gravity, self.tilt = base.gravity, base.max_inclination
-        unit = torque_per_count(vehicle, allocation, signs, gravity)
         self.position, self.velocity = base.position[0], base.velocity[0]
-        self.attitude, self.rate = base.attitude[0] / unit, base.rate[0] / unit  # counts per rad, per rad/s
+        self.attitude, self.rate = base.attitude[0], base.rate[0]  # [N m/rad], [N m s/rad]
         self.of_rate = base.rate[0] / vehicle.inertia[0].diagonal()  # 1/s
         self.of_attitude = _over(base.attitude[0], base.rate[0])
         self.of_position = _over(base.position[0], base.velocity[0])
@@ -57,6 +57,23 @@ class Derived:
     def given(self, numbers: Sequence[float] | None, derived: Tensor | Sequence[float]) -> Tensor:
         """Return what is given, else what is derived, as a row."""
         return self.row(derived if numbers is None else numbers)
+
+    def axes(self, xy: float | None, z: float | None, derived: Tensor) -> Tensor:
+        """Return what is given about x and y, and about z, else what is derived (3,), as a row."""
+        return self.row([float(d) if g is None else g for g, d in zip((xy, xy, z), derived, strict=True)])
+
+
+class DerivedCounts(Derived):
+    """Gains of a declared vehicle whose controller answers in counts: torques per error are in these."""
+
+    def __init__(
+        self, cfg: ControllerCfg, control: ControlCfg, vehicle: Vehicle, allocation: Allocation, signs: Tensor, *,
+        gravity: float, timing: Timing,
+    ) -> None:  # fmt: skip
+        super().__init__(cfg, control, vehicle, allocation, gravity=gravity, timing=timing)
+        unit = torque_per_count(vehicle, allocation, signs, gravity)
+        self.per_newton = MOST_COUNTS / float(allocation.high[0].sum())
+        self.attitude, self.rate = self.attitude / unit, self.rate / unit  # counts per rad, per rad/s
 
 
 def _over(gains: Tensor, others: Tensor) -> Tensor:
@@ -73,13 +90,9 @@ def _level(proportional: Tensor, integral: Tensor, derivative: Tensor, limit: Te
     return PidLevel(proportional=proportional, integral=integral, derivative=derivative, limit=_used(limit, integral))
 
 
-def mellinger_gains(own: MellingerCfg, derived: Derived) -> MellingerGains:
+def mellinger_gains(own: MellingerCfg, derived: DerivedCounts) -> MellingerGains:
     """Return the gains of ``crazyflie_mellinger_control``, the same in all environments."""
-
-    def axes(xy: float | None, z: float | None, default: Tensor) -> Tensor:
-        return derived.row([float(d) if g is None else g for g, d in zip((xy, xy, z), default, strict=True)])
-
-    mass = derived.mass if own.mass is None else own.mass
+    axes, mass = derived.axes, derived.mass if own.mass is None else own.mass
     none = torch.zeros(3)
     far, turned = axes(own.ki_xy, own.ki_z, none), axes(own.ki_m_xy, own.ki_m_z, none)
     return MellingerGains(
@@ -97,7 +110,7 @@ def mellinger_gains(own: MellingerCfg, derived: Derived) -> MellingerGains:
     )
 
 
-def pid_gains(own: CrazyfliePidCfg, derived: Derived) -> PidGains:
+def pid_gains(own: CrazyfliePidCfg, derived: DerivedCounts) -> PidGains:
     """Return the gains of ``crazyflie_pid_control``, the same in all environments."""
     given, row = derived.given, derived.row
     tilting = degrees(1.0) / derived.gravity * derived.velocity
