@@ -6,7 +6,7 @@ from math import inf, pi
 from typing import ClassVar, Literal
 
 from aerial_gym.config.autopilots.betaflight import BetaflightCfg
-from aerial_gym.config.autopilots.crazyflie import CrazyfliePidCfg, MellingerCfg
+from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyfliePidCfg, MellingerCfg
 from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.config.checks import Vec3, require_finite, require_positive
 from aerial_gym.errors import ConfigError
@@ -16,7 +16,7 @@ _DRAWN_BY_NAME = (
     "name, randomize: {gains.position: {how: value, low: [2.0, 2.0, 1.0], high: [3.0, 3.0, 2.0]}} (docs/randomisation.md)"
 )
 
-AUTOPILOTS = ("px4", "betaflight", "mellinger", "crazyflie_pid")
+AUTOPILOTS = ("px4", "betaflight", "mellinger", "crazyflie_pid", "brescianini")
 """Fields of ``ControllerCfg`` and ``ControlCfg`` with the parameters of a real autopilot; a controller has one at most."""
 
 EFFECTIVENESS = ("nominal", "actual")
@@ -114,6 +114,9 @@ class ControlCfg:
 
     crazyflie_pid: CrazyfliePidCfg | None = None
     """Parameters of the Crazyflie's cascade of PID controllers, likewise."""
+
+    brescianini: BrescianiniCfg | None = None
+    """Parameters of the Crazyflie's controller of Brescianini, likewise."""
 
     effectiveness: str = "nominal"
     """``nominal`` or ``actual``: which control effectiveness matrix the allocation inverts, and with which thrust maps it goes
@@ -219,6 +222,9 @@ class ControllerCfg:
     crazyflie_pid: CrazyfliePidCfg | None = None
     """The Crazyflie's cascade of PID controllers, likewise."""
 
+    brescianini: BrescianiniCfg | None = None
+    """The Crazyflie's controller of Brescianini, likewise."""
+
     rate_hz: float | None = None
     """How often the law runs [1/s], > 0; every physics step, or with a rate loop as often as that, if not given. What it
     wants is held in between."""
@@ -251,9 +257,9 @@ class ControllerCfg:
             raise ConfigError(f"ControllerCfg.allocation = {self.allocation!r}: must be 'prioritised' or 'clamp'")
 
     @property
-    def inner(self) -> RateLoopCfg | Px4Cfg | BetaflightCfg | CrazyfliePidCfg | None:
+    def inner(self) -> RateLoopCfg | Px4Cfg | BetaflightCfg | CrazyfliePidCfg | BrescianiniCfg | None:
         """The loop of body rates, if there is one."""
-        return self.px4 or self.betaflight or self.crazyflie_pid or self.rate_loop
+        return self.px4 or self.betaflight or self.crazyflie_pid or self.brescianini or self.rate_loop
 
     @property
     def autopilot(self) -> str | None:

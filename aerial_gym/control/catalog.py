@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from aerial_gym.config import CONFIG_DIR, load
 from aerial_gym.config.autopilots.betaflight import BetaflightCfg
-from aerial_gym.config.autopilots.crazyflie import CrazyfliePidCfg, MellingerCfg
+from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyfliePidCfg, MellingerCfg
 from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.config.controller import ControllerCfg, LeeGainsCfg, RateLoopCfg
 from aerial_gym.config.loader import build, read_yaml
@@ -53,10 +53,12 @@ CONTROLLERS.register(
 )
 
 _cfg = CONTROLLERS.get("lee_position_control")
-for _name, _own in (("mellinger", {"mellinger": MellingerCfg()}), ("pid", {"crazyflie_pid": CrazyfliePidCfg()})):
-    _summary = (
-        f"{_cfg.summary}; the {'Mellinger controller' if _name == 'mellinger' else 'PID cascade'} of the Crazyflie"
-    )
+for _name, _kind, _own in (
+    ("mellinger", "Mellinger controller", {"mellinger": MellingerCfg()}),
+    ("pid", "PID cascade", {"crazyflie_pid": CrazyfliePidCfg()}),
+    ("brescianini", "Brescianini controller", {"brescianini": BrescianiniCfg()}),
+):
+    _summary = f"{_cfg.summary}; the {_kind} of the Crazyflie"
     CONTROLLERS.register(f"crazyflie_{_name}_control", replace(_cfg, summary=_summary, **_own))
 
 

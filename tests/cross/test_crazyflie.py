@@ -7,7 +7,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.cross.firmware.crazyflie_pairs import lee_pair, mellinger_pair, pid_pair, power_pair, read_vectors
+from tests.cross.firmware.crazyflie_pairs import (
+    brescianini_pair,
+    brescianini_reduced_pair,
+    lee_pair,
+    mellinger_pair,
+    pid_pair,
+    power_pair,
+    read_vectors,
+)
 
 
 @pytest.fixture(scope="module")
@@ -43,6 +51,24 @@ def test_mellinger_without_thrust_has_no_moment(vectors: dict[str, Tensor]) -> N
     assert int(falls.sum()) > 50
     assert not ours[falls][:, 1:].any()
     assert not theirs[falls][:, 1:].any()
+
+
+def test_brescianini_is_the_firmwares(vectors: dict[str, Tensor]) -> None:
+    """Torques reach 0.05 N m, those of ``w x J w``, which neither has, 1e-4 N m: rounding is far below."""
+    ours, theirs = brescianini_pair(vectors)
+    assert ours.shape == (10, 1000, 4)
+    torch.testing.assert_close(ours[..., 0], theirs[..., 0], atol=3e-7, rtol=0)
+    torch.testing.assert_close(ours[..., 1:], theirs[..., 1:], atol=1e-7, rtol=0)
+    assert (
+        500 < int((theirs[..., 0] > 0.52199).sum()) < 2000
+    )  # most are not at the largest thrust, 0.029 kg times 18 m/s²
+
+
+def test_rates_of_the_tilt_alone_are_the_firmwares_in_the_world(vectors: dict[str, Tensor]) -> None:
+    ours, theirs = brescianini_reduced_pair(vectors)
+    assert ours.shape == (1000, 3)
+    torch.testing.assert_close(ours, theirs, atol=2e-5, rtol=0)
+    assert float(ours.abs().max()) > 2.0
 
 
 def test_power_distribution_is_the_firmwares(vectors: dict[str, Tensor]) -> None:

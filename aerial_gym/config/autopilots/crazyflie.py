@@ -3,7 +3,8 @@
 Counts are those of its PWM: 65535 is all that a rotor gives. What is left out is derived from the vehicle
 (``control.crazyflie.parameters``), so that any quadrotor flies; ``config/robots/crazyflie_21.yaml`` has the numbers that a
 Crazyflie 2 comes with.
-Source: Bitcraze's documentation, "Controllers in the Crazyflie" and "Mellinger controller", and its list of parameters.
+Source: Bitcraze's documentation, "Controllers in the Crazyflie" and "Mellinger controller", and its list of parameters; of
+``BrescianiniCfg`` the papers that ``control.crazyflie.brescianini`` names.
 """
 
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from typing import ClassVar
 
 from aerial_gym.config.autopilots.tuned import Tuned
 from aerial_gym.config.checks import Vec3
+from aerial_gym.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,3 +129,64 @@ class CrazyfliePidCfg(Tuned):
 
     source: str = "Derived: aerial_gym.control.crazyflie.parameters"
     """Where the numbers come from."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BrescianiniCfg(Tuned):
+    """Parameters of ``crazyflie_brescianini_control``: group ``ctrlAtt``, and what a Crazyflie has compiled in.
+
+    Body rates are controlled at ``rate_hz``; the rest runs at ``ControllerCfg.rate_hz``.
+    """
+
+    POSITIVE: ClassVar[frozenset[str]] = frozenset(
+        ("rate_hz", "tau_xy", "tau_z", "tau_rp", "tau_rp_rate", "tau_yaw_rate", "coll_max", "omega_rp_max", "omega_yaw_max")
+    )  # fmt: skip
+
+    rate_hz: float | None = None
+    """How often body rates are controlled [1/s]; every physics step if not given. The Crazyflie: 500, and the rest 100."""
+
+    tau_xy: float | None = None
+    """Time constant of the position [s], along world x and y."""
+
+    zeta_xy: float | None = None
+    """Its damping ratio [-]."""
+
+    tau_z: float | None = None
+    """Along z."""
+
+    zeta_z: float | None = None
+
+    tau_rp: float | None = None
+    """Time constant of the attitude [s]."""
+
+    mixing_factor: float | None = None
+    """Share of the heading error that is turned to, 0 to 1; that of a Crazyflie is 1."""
+
+    tau_rp_rate: float | None = None
+    """Time constant of body rates about x and y [s]; from here on no parameters of the group, but compiled in."""
+
+    tau_yaw_rate: float | None = None
+    """About z."""
+
+    coll_min: float | None = None
+    """Least thrust per mass [m/s²]; that of a Crazyflie is 1. If not given a tenth of the weight."""
+
+    coll_max: float | None = None
+    """Largest thrust per mass [m/s²]. If not given all that the rotors give."""
+
+    omega_rp_max: float = 30.0
+    """Largest wanted rate of tilting [rad/s]: that of a Crazyflie, as the next."""
+
+    omega_yaw_max: float = 10.0
+    """Largest wanted rate about body z [rad/s]."""
+
+    source: str = "Derived: aerial_gym.control.crazyflie.parameters"
+    """Where the numbers come from."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.mixing_factor is not None and self.mixing_factor > 1.0:
+            raise ConfigError(f"BrescianiniCfg.mixing_factor = {self.mixing_factor!r}: must be from 0 to 1")
+        low, high = self.coll_min, self.coll_max
+        if low is not None and high is not None and low >= high:
+            raise ConfigError(f"BrescianiniCfg.coll_min = {low!r}: must be below coll_max = {high!r}")

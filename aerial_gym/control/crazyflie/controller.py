@@ -3,9 +3,11 @@
     crazyflie_mellinger_control:  action -> Mellinger (at ``ControllerCfg.rate_hz``) -> counts -> rotors
     crazyflie_pid_control:        action -> position, velocity (at ``ControllerCfg.rate_hz``)
                                          -> attitude, rates (at ``CrazyfliePidCfg.rate_hz``) -> counts -> rotors
+    crazyflie_brescianini_control: action -> thrust, wanted rates (at ``ControllerCfg.rate_hz``)
+                                         -> torque (at ``BrescianiniCfg.rate_hz``) -> allocation -> rotors
 
 Unlike there, integrals and differences begin with what is measured first, so that a reset gives no kick, and what Mellinger
-wants of the thrust leans no further than other laws' (``ControlCfg.max_inclination``).
+and Brescianini want of the thrust leans no further than other laws' (``ControlCfg.max_inclination``).
 Not modelled: the estimator, compensation of the battery, and the cut of the thrust near the ground.
 Frames: world z up, body x forward, y left, z up. Letters: E environments, R rotors, M remembered numbers.
 """
@@ -20,11 +22,18 @@ from torch import Tensor
 
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.control.crazyflie import crazyflie_fused, mellinger, pid
+from aerial_gym.control.crazyflie import brescianini, brescianini_fused, crazyflie_fused, mellinger, pid
 from aerial_gym.control.crazyflie.distribution import MOST_COUNTS, require_position, signs_of, told
-from aerial_gym.control.crazyflie.parameters import DerivedCounts, mellinger_gains, pid_gains
+from aerial_gym.control.crazyflie.parameters import (
+    Derived,
+    DerivedCounts,
+    brescianini_gains,
+    mellinger_gains,
+    pid_gains,
+)
 from aerial_gym.control.gains import autopilot_of
 from aerial_gym.control.laws import LAWS
+from aerial_gym.control.lee import wrench_from
 from aerial_gym.control.remembering import RememberingController, layout_of
 from aerial_gym.control.timing import timing_of
 from aerial_gym.physics.fused.law import FusedLaw
@@ -156,4 +165,39 @@ class PidController(_CrazyflieInCounts):
             gains_type=crazyflie_fused.PidRows,
             load_gains=crazyflie_fused.load_pid,
             gains=crazyflie_fused.pid_rows(self.gains),
+        )
+
+
+class BrescianiniController(_Crazyflie):
+    """``crazyflie_brescianini_control``; its thrust and torque go through the allocation, so that any multirotor flies."""
+
+    own_numbers = 0
+
+    def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
+        """Take what ``make_controller`` does."""
+        super().__init__(cfg, vehicle, gravity, dt=dt, control=control)
+        self._derived = Derived(cfg, control, vehicle, self.allocation, gravity=gravity, timing=self.timing)
+        self.gains = brescianini_gains(self._own, self._derived)
+
+    @property
+    def _wish_at_rest(self) -> Tensor:
+        return self.gains.mass[0, 0] * self._derived.gravity
+
+    def _run(self, state: BodyState, action: Tensor, memory: LawMemory, sent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        gravity, tilt = self._derived.gravity, self._derived.tilt
+        wish = brescianini.lean(state, _point(action), self.gains, gravity=gravity, max_inclination=tilt)
+        setpoint, sent = self._pass_on(wish, sent, memory.since)
+        torque = brescianini.turn(state.ang_vel, setpoint[:, 1:], self.gains)
+        speeds = self.allocation.speed_for_wrench(wrench_from(setpoint[:, 0], torque))
+        return speeds, memory.numbers[:, : self.own_numbers], sent
+
+    def fused(self) -> FusedLaw:
+        """Return the twin in Warp."""
+        return self._fused(
+            remembering=brescianini_fused.brescianini_maker(
+                self.timing, self._layout, gravity=self._derived.gravity, max_inclination=self._derived.tilt
+            ),
+            gains_type=brescianini_fused.BrescianiniRows,
+            load_gains=brescianini_fused.load_brescianini,
+            gains=brescianini_fused.brescianini_rows(self.gains),
         )

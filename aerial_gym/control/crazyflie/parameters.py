@@ -12,14 +12,15 @@ from math import degrees
 import torch
 from torch import Tensor
 
-from aerial_gym.config.autopilots.crazyflie import CrazyfliePidCfg, MellingerCfg
+from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyfliePidCfg, MellingerCfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.crazyflie.brescianini import BrescianiniGains
 from aerial_gym.control.crazyflie.distribution import MOST_COUNTS, torque_per_count
 from aerial_gym.control.crazyflie.mellinger import MellingerGains
 from aerial_gym.control.crazyflie.pid import MOST_MOMENT, THRUST_PER_OUTPUT, PidGains, PidLevel
 from aerial_gym.control.gains import gains_for, spacing_of
-from aerial_gym.control.lee import LeeGains
+from aerial_gym.control.lee import LEAST_LIFT, LeeGains
 from aerial_gym.control.timing import Timing
 from aerial_gym.physics.vehicle import Vehicle, share_row
 
@@ -41,7 +42,7 @@ class Derived:
             cfg, control, vehicle, allocation, gravity=gravity, dt=timing.loop * timing.dt, extra_lag=timing.extra_lag
         )
         self.vehicle, self.slow = vehicle, spacing_of(control.phase_margin) ** 2
-        self.mass = float(vehicle.mass[0])
+        self.mass, self.most_thrust = float(vehicle.mass[0]), allocation.largest_thrust()  # [kg], [N]
         self.gravity, self.tilt = base.gravity, base.max_inclination
         self.position, self.velocity = base.position[0], base.velocity[0]
         self.attitude, self.rate = base.attitude[0], base.rate[0]  # [N m/rad], [N m s/rad]
@@ -136,3 +137,37 @@ def pid_gains(own: CrazyfliePidCfg, derived: DerivedCounts) -> PidGains:
         thrust_base=row([hover]),
         least_thrust=row([LEAST_OF_HOVER * hover if own.thrust_min is None else own.thrust_min]),
     )
+
+
+def brescianini_gains(own: BrescianiniCfg, derived: Derived) -> BrescianiniGains:
+    """Return the gains of ``crazyflie_brescianini_control``, the same in all environments.
+
+    Roll and pitch have one time constant, the slower of theirs. Heading has none of its own: the share of its error that is
+    turned to makes it as slow as it must be, and an axis that is left alone has no gain on its rate.
+    """
+    axes, row, mass = derived.axes, derived.row, derived.mass
+    natural = derived.position.sqrt()
+    frequency = axes(_inverse(own.tau_xy), _inverse(own.tau_z), natural)
+    damping = axes(own.zeta_xy, own.zeta_z, 0.5 * _over(derived.velocity, natural))
+    tilting = derived.of_attitude[:2]
+    slower = float(tilting[tilting > 0.0].min()) if bool((tilting > 0.0).any()) else 0.0
+    attitude = slower if own.tau_rp is None else 1.0 / own.tau_rp
+    mixing = min(float(derived.of_attitude[2]) / attitude, 1.0) if attitude > 0.0 else 0.0
+    least = LEAST_LIFT * derived.gravity if own.coll_min is None else own.coll_min
+    return BrescianiniGains(
+        mass=row([mass]),
+        inertia=derived.vehicle.inertia,
+        position=frequency.square(),
+        velocity=2.0 * damping * frequency,
+        attitude=row([attitude]),
+        mixing=row([mixing if own.mixing_factor is None else own.mixing_factor]),
+        rate=axes(_inverse(own.tau_rp_rate), _inverse(own.tau_yaw_rate), derived.of_rate),
+        least_thrust=row([least]),
+        most_thrust=row([derived.most_thrust / mass if own.coll_max is None else own.coll_max]),
+        tilt_rate_limit=row([own.omega_rp_max]),
+        yaw_rate_limit=row([own.omega_yaw_max]),
+    )
+
+
+def _inverse(time_constant: float | None) -> float | None:
+    return None if time_constant is None else 1.0 / time_constant

@@ -39,6 +39,11 @@ def _crazyflie() -> dict[str, tuple[Tensor, Tensor]]:
         ours, theirs = pair(vectors)
         found[f"Crazyflie, {name}: thrust [counts]"] = ours[..., :1], theirs[..., :1]
         found[f"Crazyflie, {name}: moments [whole counts]"] = ours[..., 1:], theirs[..., 1:]
+    ours, theirs = crazyflie_pairs.brescianini_pair(vectors)
+    found["Crazyflie, Brescianini: thrust [N]"] = ours[..., :1], theirs[..., :1]
+    found["Crazyflie, Brescianini: torque [N m]"] = ours[..., 1:], theirs[..., 1:]
+    reduced = crazyflie_pairs.brescianini_reduced_pair(vectors)
+    found["Crazyflie, Brescianini: rates of the tilt alone, world [rad/s]"] = reduced
     return found | {"Crazyflie: motors [whole counts]": crazyflie_pairs.power_pair(vectors)}
 
 

@@ -7,11 +7,13 @@ import torch
 from torch import Tensor
 
 from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.crazyflie import brescianini
+from aerial_gym.control.crazyflie.brescianini import BrescianiniGains
 from aerial_gym.control.crazyflie.distribution import signs_of, told
 from aerial_gym.control.crazyflie.mellinger import WIDTH, FlatTarget, MellingerGains, mellinger_control
 from aerial_gym.control.crazyflie.pid import OUTER_NUMBERS, PidGains, PidLevel, fresh, lean, turn
 from aerial_gym.control.lee import LeeGains, position_control
-from aerial_gym.math.quaternion import quat_from_euler, quat_normalize
+from aerial_gym.math.quaternion import quat_from_euler, quat_normalize, quat_rotate
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.state import BodyState
 from aerial_gym.robots import ROBOTS
@@ -22,6 +24,21 @@ DT = 0.002
 
 GRAVITY = 9.81
 """The firmware's [m/s²]."""
+
+BRESCIANINI_MASS = 0.029
+"""Compiled into the firmware's controller of Brescianini [kg], as what follows."""
+
+BRESCIANINI_INERTIA = ((16.6e-6, 0.83e-6, 0.72e-6), (0.83e-6, 16.6e-6, 1.8e-6), (0.72e-6, 1.8e-6, 29.3e-6))
+"""[kg m²]."""
+
+BRESCIANINI_COLLECTIVE = 1.0, 18.0
+"""Least and largest thrust per mass [m/s²]."""
+
+BRESCIANINI_RATE_TAU = 0.015, 0.015, 0.0075
+"""Of body rates [s]."""
+
+BRESCIANINI_RATES = 30.0, 10.0
+"""Largest wanted rates of tilting and about body z [rad/s]; none that was drawn is as large."""
 
 LOOSE = 1.5707
 """An inclination that is no limit [rad]."""
@@ -34,7 +51,8 @@ def read_vectors() -> dict[str, Tensor]:
     with np.load(made.VECTORS) as file:
         if int(file["checksum"]) != made.states_checksum():
             raise ValueError("the random states are not those of the vectors: make them anew (crazyflie_vectors.py)")
-        return {name: torch.from_numpy(file[name]).double() for name in ("lee", "mellinger", "pid", "power")}
+        names = ("lee", "mellinger", "pid", "brescianini", "brescianini_reduced", "power")
+        return {name: torch.from_numpy(file[name]).double() for name in names}
 
 
 def _split(rows: np.ndarray, *widths: int) -> list[Tensor]:
@@ -112,6 +130,58 @@ def pid_pair(vectors: dict[str, Tensor]) -> Pair:
         moment, inner = turn(state, torch.cat((told[:, 1:], yaw), dim=-1), inner, own, dt=DT)
         found.append(torch.cat((told[:, :1], moment.trunc()), dim=-1))
     return torch.stack(found), _nose_down(vectors["pid"]).transpose(0, 1)
+
+
+def brescianini_pair(vectors: dict[str, Tensor]) -> Pair:
+    """Return thrust [N] and torque [N m], (STEPS, RUNS, 4), of runs of ten steps, of which two move thrust and wanted rates."""
+    gains, rows = made.brescianini_states()
+    own, wish, found = firmware_brescianini_gains(gains, mixing=1.0), torch.zeros(0), []
+    for k, step in enumerate(torch.from_numpy(rows).double().unbind(1)):
+        state, target = _follow(step)
+        if k % 5 == 0:
+            wish = brescianini.lean(state, target, own, gravity=GRAVITY)
+        found.append(torch.cat((wish[:, :1], brescianini.turn(state.ang_vel, wish[:, 1:], own)), dim=-1))
+    return torch.stack(found), vectors["brescianini"].transpose(0, 1)
+
+
+def brescianini_reduced_pair(vectors: dict[str, Tensor]) -> Pair:
+    """Return the wanted rates of the tilt alone [rad/s], (RUNS, 3), which the firmware's torques show.
+
+    Without the heading it turns about an axis that it takes in the world, where the report, and ours, take it in the body:
+    ours are seen in the world.
+    """
+    gains, rows = made.brescianini_states()
+    own = firmware_brescianini_gains(gains, mixing=0.0)
+    state, target = _follow(torch.from_numpy(rows[:, 0]).double())
+    ours = brescianini.lean(state, target, own, gravity=GRAVITY)[:, 1:] - target.rates
+    theirs = torch.linalg.solve(own.inertia, vectors["brescianini_reduced"][:, 1:]) / own.rate + state.ang_vel
+    return quat_rotate(state.attitude, ours), theirs - target.rates
+
+
+def firmware_brescianini_gains(gains: np.ndarray, *, mixing: float) -> BrescianiniGains:
+    """Return drawn gains (N, 5), in the order of ``crazyflie_vectors.BRESCIANINI``, with what the firmware has compiled in."""
+    tau_xy, zeta_xy, tau_z, zeta_z, tau_rp = _split(gains, 1, 1, 1, 1, 1)
+    tau, zeta = torch.cat((tau_xy, tau_xy, tau_z), dim=-1), torch.cat((zeta_xy, zeta_xy, zeta_z), dim=-1)
+
+    def row(*numbers: float) -> Tensor:
+        return tau.new_tensor(numbers).expand(len(tau), -1)
+
+    (least, most), (tilting, heading) = BRESCIANINI_COLLECTIVE, BRESCIANINI_RATES
+    return BrescianiniGains(
+        mass=row(BRESCIANINI_MASS), inertia=tau.new_tensor(BRESCIANINI_INERTIA).expand(len(tau), 3, 3), position=1.0 / tau**2,
+        velocity=2.0 * zeta / tau, attitude=1.0 / tau_rp, mixing=row(mixing), rate=1.0 / row(*BRESCIANINI_RATE_TAU),
+        least_thrust=row(least), most_thrust=row(most), tilt_rate_limit=row(tilting), yaw_rate_limit=row(heading),
+    )  # fmt: skip
+
+
+def _follow(rows: Tensor) -> tuple[BodyState, FlatTarget]:
+    """Return the state and the target of rows (N, 24)."""
+    q, at, moving, gyro, goal, velocity, yaw, acceleration, yaw_rate = rows.split((4, 3, 3, 3, 3, 3, 1, 3, 1), dim=-1)
+    rates = torch.cat((torch.zeros_like(goal[:, :2]), torch.deg2rad(yaw_rate)), dim=-1)
+    target = FlatTarget(
+        position=goal, velocity=velocity, acceleration=acceleration, yaw=torch.deg2rad(yaw[:, 0]), rates=rates
+    )
+    return _state(quat_normalize(q), at, moving, gyro), target
 
 
 def power_pair(vectors: dict[str, Tensor]) -> Pair:

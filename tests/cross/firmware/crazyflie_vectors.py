@@ -1,18 +1,33 @@
-"""Golden vectors of the Crazyflie firmware's controllers: 10,000 random states each of Lee, Mellinger and the PID cascade, and
-10,000 counts through its power distribution.
+"""Golden vectors of the Crazyflie firmware's controllers: 10,000 random states each of Lee, Mellinger, the PID cascade and
+Brescianini, and 10,000 counts through its power distribution.
 
     python -m tests.cross.firmware.crazyflie_vectors --library libcrazyflie.so
 
 asks a library of the host into which ``controller_lee.c``, ``controller_mellinger.c``, ``controller_pid.c``,
-``power_distribution_quadrotor.c`` and what they include were compiled (``UNIT_TEST_MODE``; GPL-3, none of it is kept here) and
-writes what they answer. It is asked through its public structures alone. States are not written: they follow from the seed, and
-a checksum says whether they still do.
+``controller_brescianini.c``, ``power_distribution_quadrotor.c`` and what they include were compiled (``UNIT_TEST_MODE``,
+``-include crazyflie_host.h``; GPL-3, none of it is kept here) and writes what they answer. It is asked through its public
+structures and parameters alone. States are not written: they follow from the seed, and a checksum says whether they still do.
 Units are the firmware's: degrees, PWM counts; its pitch is positive with the nose up, its quaternions are xyzw.
 """
 
 import argparse
 import ctypes
-from ctypes import Structure, Union, byref, c_float, c_int, c_int16, c_int32, c_uint16, c_uint32, c_uint64
+from collections.abc import Mapping
+from ctypes import (
+    Structure,
+    Union,
+    byref,
+    c_char_p,
+    c_float,
+    c_int,
+    c_int16,
+    c_int32,
+    c_uint8,
+    c_uint16,
+    c_uint32,
+    c_uint64,
+    c_void_p,
+)  # fmt: skip
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +58,12 @@ MELLINGER_ENDS = (
     *((0.001, 0.01), (5e3, 2e4), (1e3, 5e3), (0.0, 500.0), (5e-4, 0.01), (5e3, 3e4), (500.0, 6e3), (0.0, 500.0), (5e-4, 0.01)),
     (0.0, 20.0),
 )  # fmt: skip
+
+BRESCIANINI = {
+    "tau_xy": (0.3, 0.8), "zeta_xy": (0.5, 1.2), "tau_z": (0.5, 0.9), "zeta_z": (0.5, 1.2), "tau_rp": (0.25, 0.5),
+}  # fmt: skip
+"""Parameters of the group ``ctrlAtt``, and from where to where they are drawn, so that no limit acts but that of the
+thrust. ``mixing_factor`` is 0 or 1, ``coll_fairness`` as it comes."""
 
 
 class Stamped(Structure):
@@ -121,6 +142,15 @@ class Mellinger(Structure):
     _fields_ = (*((name, c_float) for name in MELLINGER), ("rest", c_float * 64))
 
 
+class Parameter(Structure):
+    """``struct param_s``."""
+
+    _fields_ = (
+        ("type", c_uint8), ("extended", c_uint8), ("name", c_char_p), ("address", c_void_p), ("callback", c_void_p),
+        ("getter", c_void_p),
+    )  # fmt: skip
+
+
 def lee_states() -> tuple[Array, Array]:
     """Return gains (LEE_ROWS, 16), mass, inertia, position, velocity, attitude, rate, and states (LEE_ROWS, 20)."""
     draw, rows = Draws(SEED), LEE_ROWS
@@ -166,6 +196,18 @@ def pid_states() -> Array:
     return np.concatenate((angles, *places, gyro, np.float32(0.4) * draw(RUNS, STEPS, 3), yaw), axis=-1)
 
 
+def brescianini_states() -> tuple[Array, Array]:
+    """Return gains (RUNS, 5) in the order of ``BRESCIANINI``, and states (RUNS, STEPS, 24).
+
+    Behind the 20 numbers of the others stand a wanted acceleration (3) and yaw rate [deg/s].
+    """
+    draw = Draws(SEED + 4)
+    gains = np.concatenate([draw(RUNS, 1, low=low, high=high) for low, high in BRESCIANINI.values()], axis=-1)
+    states = _states(draw, RUNS, STEPS, upright=2.5, rate=250.0)
+    more = draw(RUNS, STEPS, 3), np.float32(60.0) * draw(RUNS, STEPS, 1)
+    return gains, np.concatenate((states, *more), axis=-1)
+
+
 def power_states() -> Array:
     """Return thrust, roll, pitch, yaw [whole counts], (POWER_ROWS, 4): a third of each size, of which the last is cut off."""
     draw = Draws(SEED + 3)
@@ -176,7 +218,8 @@ def power_states() -> Array:
 
 def states_checksum() -> int:
     """Return a number of all states."""
-    return checksum(*lee_states(), *mellinger_states(), pid_states(), power_states())
+    states = *lee_states(), *mellinger_states(), pid_states(), power_states(), *brescianini_states()
+    return checksum(*states)
 
 
 def _fill(row: Array) -> tuple[State, Sensors, Setpoint]:
@@ -198,11 +241,13 @@ def _counts(control: Control) -> tuple[float, int, int, int]:
 
 
 def answers(library: ctypes.CDLL) -> dict[str, Array]:
-    """Return what the controllers answer, by name: Lee in SI, the others in counts."""
+    """Return what the controllers answer, by name: Lee and Brescianini in SI, the others in counts."""
     return {
         "lee": _ask_lee(library),
         "mellinger": _ask_mellinger(library),
         "pid": _ask_pid(library),
+        "brescianini": _ask_brescianini(library, steps=STEPS, mixing_factor=1.0),
+        "brescianini_reduced": _ask_brescianini(library, steps=1, mixing_factor=0.0)[:, 0],
         "power": _ask_power(library),
     }
 
@@ -256,6 +301,32 @@ def _ask_pid(library: ctypes.CDLL) -> Array:
             library.controllerPid(*map(byref, (control, wanted, sensors, state)), c_uint32(2 * k))
             found.append(_counts(control))
     return np.array(found, np.float32).reshape(RUNS, STEPS, 4)
+
+
+def _ask_brescianini(library: ctypes.CDLL, *, steps: int, mixing_factor: float) -> Array:
+    parameters = _parameters(library, "ctrlAtt")
+    library.controllerBrescianiniInit()
+    parameters["mixing_factor"].value = mixing_factor
+    found = []
+    for gains, rows in zip(*brescianini_states(), strict=True):
+        for name, gain in zip(BRESCIANINI, gains, strict=True):
+            parameters[name].value = float(gain)
+        for k, row in enumerate(rows[:steps]):
+            control, (state, sensors, wanted) = Control(), _fill(row)
+            wanted.acceleration.v, wanted.rates.v = _of(row[20:23]), _of((0.0, 0.0, row[23]))
+            library.controllerBrescianini(*map(byref, (control, wanted, sensors, state)), c_uint32(2 * k))
+            found.append(list(control.answer.wrench))
+    return np.array(found, np.float32).reshape(RUNS, steps, 4)
+
+
+def _parameters(library: ctypes.CDLL, group: str) -> Mapping[str, c_float]:
+    """Return the parameters of a group, to be read and set."""
+    found = {}
+    for row in (Parameter * 64).in_dll(library, f"parameters_{group}"):
+        if row.name == f"stop_{group}".encode():
+            break
+        found[row.name.decode()] = c_float.from_address(row.address)
+    return found
 
 
 def _ask_power(library: ctypes.CDLL) -> Array:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.autopilots.betaflight import BetaflightCfg
-from aerial_gym.config.autopilots.crazyflie import CrazyfliePidCfg, MellingerCfg
+from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyfliePidCfg, MellingerCfg
 from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.config.controller import ControllerCfg, RateLoopCfg
 from aerial_gym.control import CONTROLLERS, make_controller
@@ -243,7 +243,17 @@ EVERY_PID = CrazyfliePidCfg(
     rate_hz=250.0, position_ki=(0.1, 0.2, 0.5), attitude_ki=(3.0, 3.0, 1.0), attitude_kd=(0.01, 0.0, 0.35),
     attitude_limit=(0.02, 0.02, 360.0), rate_kd=(0.1, 0.1, 0.0), rate_limit=(3.0, 3.0, 100.0), velocity_max=(0.3, 0.5, 0.2),
 )  # fmt: skip
-"""Every part of the Crazyflie's controllers."""
+EVERY_BRESCIANINI = BrescianiniCfg(
+    rate_hz=250.0,
+    tau_xy=0.2,
+    mixing_factor=0.4,
+    zeta_xy=0.7,
+    coll_min=9.0,
+    coll_max=10.5,
+    omega_rp_max=0.2,
+    omega_yaw_max=0.05,
+)
+"""Every part of the Crazyflie's controllers; limits act."""
 
 CASES = {
     "everything": (BUSY, ()),
@@ -262,6 +272,12 @@ CASES = {
     ),
     "all of the Crazyflie's PID": (
         replace(CONTROLLERS.get("crazyflie_pid_control"), rate_hz=50.0, delay=0.014, crazyflie_pid=EVERY_PID),
+        (),
+    ),
+    "all of Brescianini": (
+        replace(
+            CONTROLLERS.get("crazyflie_brescianini_control"), rate_hz=50.0, delay=0.014, brescianini=EVERY_BRESCIANINI
+        ),
         (),
     ),
     "all of PX4": (replace(CONTROLLERS.get("px4_position_control"), rate_hz=50.0, delay=0.014, px4=FILTERED), ()),

@@ -4,16 +4,22 @@ Their laws are held to the firmware in ``tests/cross/test_crazyflie.py``, their 
 """
 
 from dataclasses import replace
+from itertools import pairwise
+from math import acos, atan2, cos, sin
 
 import pytest
 import torch
 
-from aerial_gym.config.autopilots.crazyflie import CrazyfliePidCfg, MellingerCfg
+from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyfliePidCfg, MellingerCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller
-from aerial_gym.control.crazyflie.controller import MellingerController, PidController
+from aerial_gym.control.crazyflie import brescianini
+from aerial_gym.control.crazyflie.controller import BrescianiniController, MellingerController, PidController
+from aerial_gym.control.crazyflie.mellinger import FlatTarget
+from aerial_gym.control.gains import derived_inclination
+from aerial_gym.control.reduced_attitude import up_axis
 from aerial_gym.errors import ConfigError
-from aerial_gym.math.quaternion import quat_exp
+from aerial_gym.math.quaternion import quat_exp, quat_rotate
 from aerial_gym.physics import BodyState, TorchBackend, build_model, state_at_rest, vehicle_from_config
 from aerial_gym.physics.law_memory import fresh_law_memory
 from aerial_gym.physics.rotors import rotor_thrust
@@ -23,6 +29,7 @@ F64 = torch.float64
 DT = 0.002
 X500, TUNED = ROBOTS.get("x500"), ROBOTS.get("crazyflie_21")
 MELLINGER, PID = "crazyflie_mellinger_control", "crazyflie_pid_control"
+BRESCIANINI = "crazyflie_brescianini_control"
 
 
 def law_of(name: str, robot: RobotCfg = X500, dt: float = DT, **changes):
@@ -35,6 +42,21 @@ def at_rest(turn: tuple[float, float, float] = (0.0, 0.0, 0.0), rate: tuple[floa
     state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64)
     attitude, ang_vel = quat_exp(torch.tensor([turn], dtype=F64)), torch.tensor([rate], dtype=F64)
     return replace(state, attitude=attitude, ang_vel=ang_vel)
+
+
+def at_rest_with(robot: RobotCfg) -> BodyState:
+    """Return a level body with the rotors of a robot."""
+    vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
+    return state_at_rest(1, vehicle.num_rotors, device=torch.device("cpu"), dtype=F64)
+
+
+def wish_of(law: BrescianiniController, state: BodyState, *, yaw: float = 0.0) -> torch.Tensor:
+    """Return thrust [N] and body rates [rad/s] that Brescianini's law asks for to be at the origin with a yaw [rad]."""
+    still = torch.zeros(1, 3, dtype=F64)
+    target = FlatTarget(
+        position=still, velocity=still, acceleration=still, yaw=torch.tensor([yaw], dtype=F64), rates=still
+    )
+    return brescianini.lean(state, target, law.gains, gravity=9.81, max_inclination=1.0)
 
 
 def told(law, state: BodyState, action: list[float]) -> torch.Tensor:
@@ -57,18 +79,20 @@ def fly(
     return found
 
 
+@pytest.mark.parametrize("name", [MELLINGER, BRESCIANINI])
 @pytest.mark.parametrize("turn", [(1e-4, 0.0, 0.0), (0.0, -1e-4, 0.0), (0.0, 0.0, 1e-4), (5e-5, 7e-5, -3e-5)])
-def test_derived_mellinger_is_the_geometric_law_in_counts(turn: tuple[float, float, float]) -> None:
-    """Small turns, rates and distances: the same speeds as ``lee_position_control``, but for terms of second order."""
+def test_with_derived_gains_they_are_the_geometric_law(name: str, turn: tuple[float, float, float]) -> None:
+    """Turns, rates and distances of 1e-4: the speeds of ``lee_position_control``, but for terms of second order."""
     state = at_rest(turn, tuple(3.0 * x for x in turn))
-    found = told(law_of(MELLINGER), state, [1e-4, -2e-4, 1e-4, 0.0])
+    state.lin_vel[0] = torch.tensor([-2e-4, 1e-4, 1e-4], dtype=F64)
+    found = told(law_of(name), state, [1e-4, -2e-4, 1e-4, 0.0])
     lee = law_of("lee_position_control").rotor_command(state, torch.tensor([[1e-4, -2e-4, 1e-4, 0.0]], dtype=F64))
     hover = X500.rotor.speed_at(X500.body.mass * 9.81 / 4)
     assert float((lee - hover).abs().max()) > 1e-3
-    torch.testing.assert_close(found, lee, atol=1e-6, rtol=0)
+    torch.testing.assert_close(found, lee, atol=0, rtol=2e-8)
 
 
-@pytest.mark.parametrize("name", [MELLINGER, PID])
+@pytest.mark.parametrize("name", [MELLINGER, PID, BRESCIANINI])
 @pytest.mark.parametrize("robot", ["x500", "tinyprop", "racing_quadrotor"])
 def test_at_rest_they_hold_the_weight(name: str, robot: str) -> None:
     cfg = ROBOTS.get(robot)
@@ -78,20 +102,30 @@ def test_at_rest_they_hold_the_weight(name: str, robot: str) -> None:
     check_closed_loop(cfg, CONTROLLERS.get(name), gravity=9.81, dt=DT, integrator="euler", names=(robot, name))
 
 
-@pytest.mark.parametrize("name", [MELLINGER, PID])
+FIRMWARES_RATES = {
+    MELLINGER: {"rate_hz": 500.0},
+    PID: {"rate_hz": 100.0, "crazyflie_pid": CrazyfliePidCfg(rate_hz=500.0)},
+    BRESCIANINI: {"rate_hz": 100.0, "brescianini": BrescianiniCfg(rate_hz=500.0)},
+}
+
+
+@pytest.mark.parametrize("name", [MELLINGER, PID, BRESCIANINI])
 def test_a_crazyflie_flies_with_what_it_comes_with(name: str) -> None:
     """At its own rates, 500 and 100 Hz, the numbers of the robot file (``test_registered_flights.py`` flies it)."""
-    rates = (
-        {"rate_hz": 500.0} if name == MELLINGER else {"rate_hz": 100.0, "crazyflie_pid": CrazyfliePidCfg(rate_hz=500.0)}
-    )
-    law = law_of(name, TUNED, **rates)
-    assert isinstance(law, MellingerController | PidController)
+    law = law_of(name, TUNED, **FIRMWARES_RATES[name])
     assert law.timing.law == (1 if name == MELLINGER else 5)
     assert law.timing.loop == 1
     if isinstance(law, MellingerController):
         assert law.gains.attitude[0].tolist() == [70000.0, 70000.0, 60000.0]
         assert float(law.gains.mass_thrust[0]) == 132000.0
+    elif isinstance(law, BrescianiniController):
+        assert law.gains.position[0].tolist() == pytest.approx([1.0 / 0.09] * 3)
+        assert law.gains.velocity[0].tolist() == pytest.approx([1.7 / 0.3] * 3)
+        assert law.gains.rate[0].tolist() == pytest.approx([1.0 / 0.015, 1.0 / 0.015, 1.0 / 0.0075])
+        assert (float(law.gains.attitude[0]), float(law.gains.mixing[0])) == (4.0, 1.0)
+        assert (float(law.gains.least_thrust[0]), float(law.gains.most_thrust[0])) == (1.0, 18.0)
     else:
+        assert isinstance(law, PidController)
         assert law.gains.rates.proportional[0].tolist() == [250.0, 250.0, 120.0]
         assert law.gains.rates.limit[0].tolist() == [33.3, 33.3, 166.7]
 
@@ -144,6 +178,86 @@ def test_what_is_far_below_does_not_turn_it_over() -> None:
     assert float(end[-1].position[0, 2]) < -0.5
 
 
+@pytest.mark.parametrize("share", [1.0, 0.5, 0.0])
+def test_brescianini_turns_by_the_shortest_way_and_to_a_share_of_the_heading(share: float) -> None:
+    """From a roll of 0.8 rad back to level: ``-2 / tau_rp sin 0.4`` about x; to a yaw of 1.2 rad: ``2 / tau_rp sin 0.6 s``."""
+    cfg = BrescianiniCfg(tau_rp=0.25, mixing_factor=share, tau_rp_rate=0.02, tau_yaw_rate=0.03)
+    law = law_of(BRESCIANINI, brescianini=cfg)
+    assert isinstance(law, BrescianiniController)
+    rolled, turned = wish_of(law, at_rest((0.8, 0.0, 0.0)), yaw=0.0), wish_of(law, at_rest(), yaw=1.2)
+    assert rolled[0, 1:].tolist() == pytest.approx([-8.0 * sin(0.4), 0.0, 0.0], abs=1e-12)
+    assert turned[0, 1:].tolist() == pytest.approx([0.0, 0.0, 8.0 * sin(0.6 * share)], abs=1e-12)
+    torque = brescianini.turn(torch.tensor([[0.0, 0.3, 0.2]], dtype=F64), rolled[:, 1:], law.gains)
+    inertia = law.gains.inertia[0].diagonal().tolist()
+    expected = [-8.0 * sin(0.4) * inertia[0] / 0.02, -0.3 * inertia[1] / 0.02, -0.2 * inertia[2] / 0.03]
+    assert torque[0].tolist() == pytest.approx(expected, rel=1e-12)
+
+
+def test_brescianini_leans_within_the_inclination_for_what_is_far_below() -> None:
+    """2 m down at 1 / (0.3 s)² is more than any weight: without the limit it would turn over to thrust downwards."""
+    law = law_of(BRESCIANINI, TUNED)
+    assert isinstance(law, BrescianiniController)
+    leant = [quat_rotate(s.attitude, up_axis(s.position))[0, 2] for s in fly(law, TUNED, 1.5, [0.5, 0.0, -2.0, 0.0])]
+    largest = derived_inclination(law.allocation.vehicle, law.allocation, 9.81)
+    assert 0.3 < acos(float(min(leant))) < largest + 0.05
+
+
+def test_brescianini_leans_the_thrust_along_the_acceleration_and_carries_the_weight() -> None:
+    """1 m ahead at tau 0.5 s: 4 m/s² along x, so that the body is to pitch by atan(4 / g); the weight stays carried."""
+    law = law_of(BRESCIANINI, brescianini=BrescianiniCfg(tau_xy=0.5, zeta_xy=1.5, tau_z=0.5, tau_rp=0.2))
+    assert isinstance(law, BrescianiniController)
+    state, mass = at_rest(), X500.body.mass
+    state.position[0, 0] = -1.0
+    rate = 10.0 * sin(0.5 * atan2(4.0, 9.81))
+    assert wish_of(law, state)[0].tolist() == pytest.approx([mass * 9.81, 0.0, rate, 0.0], abs=1e-9)
+    state.lin_vel[0, 0] = 4.0 / 6.0  # 2 zeta / tau = 6 per s: just what the distance asks for
+    assert wish_of(law, state)[0].tolist() == pytest.approx([mass * 9.81, 0.0, 0.0, 0.0], abs=1e-9)
+    leaning = at_rest((0.0, 0.5, 0.0))
+    assert float(wish_of(law, leaning)[0, 0]) == pytest.approx(mass * 9.81 / cos(0.5), rel=1e-9)
+
+
+def test_brescianini_stays_within_its_limits() -> None:
+    """Thrust is largest where the body all but lies, least where it is over; rates keep the axis about which they tilt."""
+    cfg = BrescianiniCfg(tau_rp=0.1, coll_min=2.0, coll_max=15.0, omega_rp_max=3.0, omega_yaw_max=1.0)
+    law = law_of(BRESCIANINI, brescianini=cfg)
+    assert isinstance(law, BrescianiniController)
+    for roll, thrust in ((1.5, 15.0), (1.6, 2.0), (3.0, 2.0)):
+        assert float(wish_of(law, at_rest((roll, 0.0, 0.0)))[0, 0]) == pytest.approx(X500.body.mass * thrust, rel=1e-12)
+    wish = wish_of(law, at_rest((0.6, 0.8, 0.0)))[0, 1:]
+    assert wish.tolist() == pytest.approx([-1.8, -2.4, 0.0], abs=1e-9)
+    assert float(wish_of(law, at_rest(), yaw=-2.0)[0, 3]) == -1.0
+    derived = law_of(BRESCIANINI)
+    assert isinstance(derived, BrescianiniController)
+    lying, over = (float(wish_of(derived, at_rest((roll, 0.0, 0.0)))[0, 0]) for roll in (1.55, 3.0))
+    assert lying == pytest.approx(float(derived.allocation.high.sum()), rel=1e-9)
+    assert over == pytest.approx(0.1 * X500.body.mass * 9.81, rel=1e-12)
+
+
+def test_brescianini_holds_thrust_and_rates_for_its_rate_loop() -> None:
+    """At 100 Hz over 500 Hz a new attitude is seen by every fifth run, new body rates by each."""
+    law = law_of(BRESCIANINI, **FIRMWARES_RATES[BRESCIANINI])
+    states = [at_rest((0.1 * k, 0.0, 0.0), (0.0, 0.1 * (k == 3), 0.0)) for k in range(6)]
+    memory, found = fresh_law_memory(law.needs, 1, states[0].position), []
+    for state in states:
+        command, memory = law.command(state, torch.zeros(1, 4, dtype=F64), memory)
+        found.append(command)
+    same = [bool(torch.equal(a, b)) for a, b in pairwise(found)]
+    assert same == [True, True, False, False, False]
+    assert law.resting(torch.zeros(4, dtype=F64)).tolist() == pytest.approx([X500.body.mass * 9.81, 0.0, 0.0, 0.0])
+    assert torch.equal(found[4], found[0])
+
+
+def test_brescianini_flies_vehicles_that_are_no_crazyflie() -> None:
+    """Six rotors, and four of which none turns it about z: the derived share of the heading is none."""
+    for robot in ("typhoon_hexarotor", "neural_fly_quad"):
+        cfg = ROBOTS.get(robot)
+        law = law_of(BRESCIANINI, cfg)
+        assert isinstance(law, BrescianiniController)
+        lift = rotor_thrust(law.allocation.vehicle, told(law, at_rest_with(cfg), [0.0] * 4)).sum()
+        assert float(lift) == pytest.approx(cfg.body.mass * 9.81, rel=1e-9)
+    assert float(law.gains.mixing[0]) == float(law.gains.rate[0, 2]) == 0.0
+
+
 @pytest.mark.parametrize("name", [MELLINGER, PID])
 def test_what_does_not_fit_is_refused_by_name(name: str) -> None:
     for robot, why in (
@@ -167,7 +281,28 @@ def test_what_does_not_fit_is_refused_by_name(name: str) -> None:
         MellingerCfg(mass=0.0)
 
 
-@pytest.mark.parametrize("name", [MELLINGER, PID])
+def test_what_brescianini_cannot_be_is_refused_by_name() -> None:
+    with pytest.raises(ConfigError, match="law 'velocity': the Crazyflie's controllers fly to a position"):
+        law_of(BRESCIANINI, law="velocity")
+    with pytest.raises(ConfigError, match=r"BrescianiniCfg.mixing_factor = 1.5: must be from 0 to 1"):
+        BrescianiniCfg(mixing_factor=1.5)
+    with pytest.raises(ConfigError, match=r"BrescianiniCfg.coll_min = 2.0: must be below coll_max = 2.0"):
+        BrescianiniCfg(coll_min=2.0, coll_max=2.0)
+    for name in (
+        "tau_xy",
+        "tau_z",
+        "tau_rp",
+        "tau_rp_rate",
+        "tau_yaw_rate",
+        "omega_rp_max",
+        "omega_yaw_max",
+        "coll_max",
+    ):
+        with pytest.raises(ConfigError, match=rf"BrescianiniCfg.{name} = 0: must be > 0"):
+            BrescianiniCfg(**{name: 0.0})
+
+
+@pytest.mark.parametrize("name", [MELLINGER, PID, BRESCIANINI])
 def test_an_axis_that_a_robot_leaves_alone_is_left_alone(name: str) -> None:
     """No torque about z is asked for, and nothing is infinite."""
     robot = replace(X500, control=replace(X500.control, attitude_frequency=(5.0, 5.0, 0.0)))

@@ -1,0 +1,108 @@
+"""The controller of Brescianini, Hehn and D'Andrea as the Crazyflie flies it: acceleration, turn to it, body rates.
+
+It has no memory. Frames: world z up, body x forward, y left, z up; quaternions xyzw. Letters: E environments.
+Source: Brescianini, Hehn, D'Andrea (2013), Nonlinear quadrocopter attitude control, ETH Zurich; the loops around it: Lupashin,
+Hehn, Mueller, Schoellig, Sherback, D'Andrea (2014), A platform for aerial robotics research and demonstration: the Flying
+Machine Arena, Mechatronics 24(1). Parameters are those of the Crazyflie, which flies it without the report's gyroscopic torque
+``w x J w`` (``tests/cross/firmware``).
+Thrust, turn to the attitude and its rates run at 100 Hz there, the torque at 500 Hz.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from aerial_gym.control.crazyflie.mellinger import FlatTarget
+from aerial_gym.control.lee import LEAST_LIFT, limit_inclination
+from aerial_gym.control.reduced_attitude import shortest_turn, tilt_first_error, up_axis
+from aerial_gym.math.quaternion import quat_from_yaw, quat_multiply, quat_rotate
+from aerial_gym.physics.state import BodyState
+
+
+@dataclass(frozen=True, kw_only=True)
+class BrescianiniGains:
+    """Gains of every environment, from the parameters of the Crazyflie; vectors are about x, y, z."""
+
+    mass: Tensor
+    """[kg], (E, 1)."""
+
+    inertia: Tensor
+    """[kg m²], (E, 3, 3)."""
+
+    position: Tensor
+    """``1 / tau²`` [1/s²], (E, 3)."""
+
+    velocity: Tensor
+    """``2 zeta / tau`` [1/s], (E, 3)."""
+
+    attitude: Tensor
+    """``1 / tau_rp`` [1/s], (E, 1)."""
+
+    mixing: Tensor
+    """``mixing_factor``: share of the heading error, 0 to 1, (E, 1)."""
+
+    rate: Tensor
+    """``1 / tau_rp_rate``, ``1 / tau_yaw_rate`` [1/s], (E, 3)."""
+
+    least_thrust: Tensor
+    """``coll_min``: per mass [m/s²], (E, 1)."""
+
+    most_thrust: Tensor
+    """``coll_max``: per mass [m/s²], (E, 1)."""
+
+    tilt_rate_limit: Tensor
+    """``omega_rp_max`` [rad/s], (E, 1)."""
+
+    yaw_rate_limit: Tensor
+    """``omega_yaw_max`` [rad/s], (E, 1)."""
+
+
+def lean(
+    state: BodyState,
+    target: FlatTarget,
+    gains: BrescianiniGains,
+    *,
+    gravity: float,
+    max_inclination: float | None = None,
+) -> Tensor:
+    """Return thrust [N] and body rates [rad/s], (E, 4), that position and attitude control ask for.
+
+    ``a = e_p / tau² + 2 zeta / tau e_v + a_d + g e_z``. The thrust carries the vertical part of a, however the body leans:
+    ``m a_z / (R e_z)_z``, least where it points downwards. The wanted attitude is the wanted yaw, then the shortest turn from
+    up to a; the rates are ``2 / tau_rp`` times the vector part of the turn to it, a share of its heading alone, plus the wanted
+    ones.
+
+    Args:
+        state: Measured motion.
+        target: What is to be followed.
+        gains: Gains and limits.
+        gravity: Downward acceleration of free fall [m/s²].
+        max_inclination: Largest tilt of a [rad], whose part upwards is then a tenth of gravity at least; None: no limit, for
+            targets whose acceleration points upwards.
+    """
+    error, drift = target.position - state.position, target.velocity - state.lin_vel
+    weight = target.acceleration + target.acceleration.new_tensor((0.0, 0.0, gravity))
+    wanted = gains.position * error + gains.velocity * drift + weight
+    if max_inclination is not None:
+        wanted = limit_inclination(wanted, torch.full_like(wanted[:, 2], LEAST_LIFT * gravity), max_inclination)
+    up = up_axis(wanted)
+    collective = wanted[:, 2:] / quat_rotate(state.attitude, up)[:, 2:]
+    collective = torch.minimum(torch.maximum(collective, gains.least_thrust), gains.most_thrust)
+    turn, _ = shortest_turn(up, wanted / wanted.norm(dim=-1, keepdim=True))
+    attitude = quat_multiply(turn, quat_from_yaw(target.yaw))
+    rates = 2.0 * gains.attitude * tilt_first_error(state.attitude, attitude, gains.mixing) + target.rates
+    return torch.cat((gains.mass * collective, _within_limits(rates, gains)), dim=-1)
+
+
+def turn(ang_vel: Tensor, wanted: Tensor, gains: BrescianiniGains) -> Tensor:
+    """Return the torque ``J (w_d - w) / tau`` [N m], body, (E, 3), for measured and wanted body rates [rad/s], (E, 3)."""
+    return (gains.inertia * (gains.rate * (wanted - ang_vel)).unsqueeze(1)).sum(-1)
+
+
+def _within_limits(rates: Tensor, gains: BrescianiniGains) -> Tensor:
+    """Return body rates [rad/s], (E, 3), within their limits: about x and y together, so that they turn about the same axis."""
+    tilting, limit = rates[:, :2], gains.tilt_rate_limit
+    tilting = tilting * (limit / torch.maximum(tilting.norm(dim=-1, keepdim=True), limit))
+    heading = torch.minimum(torch.maximum(rates[:, 2:], -gains.yaw_rate_limit), gains.yaw_rate_limit)
+    return torch.cat((tilting, heading), dim=-1)

@@ -1,0 +1,131 @@
+"""The Crazyflie's controller of Brescianini for one environment in the fused kernel, the twin of ``brescianini``.
+
+Letters: E environments, R rotors.
+"""
+
+from collections.abc import Mapping
+from math import tan
+from typing import TYPE_CHECKING
+
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.control.cascade_fused import make_allot, make_remembering, make_two_levels
+from aerial_gym.control.crazyflie.crazyflie_fused import Maker
+from aerial_gym.control.lee import LEAST_LIFT
+from aerial_gym.control.lee_fused import read_vec3, up_of, within_inclination
+from aerial_gym.control.reduced_attitude_fused import shortest_turn, tilt_first_error
+from aerial_gym.control.timing import Timing
+from aerial_gym.physics.fused.command import make_speed_of
+from aerial_gym.physics.fused.functions import unit
+from aerial_gym.physics.fused.law import FusedLaw
+from aerial_gym.physics.fused.memory import LawArrays
+from aerial_gym.physics.fused.types import rotor_types
+
+if TYPE_CHECKING:
+    from aerial_gym.control.crazyflie.brescianini import BrescianiniGains
+    from aerial_gym.control.remembering import Layout
+
+
+@wp.struct
+class BrescianiniRows:
+    """All gains: ``brescianini.BrescianiniGains``."""
+
+    mass: float  # [kg]
+    inertia: wp.mat33  # [kg m²]
+    position: wp.vec3  # [1/s²]
+    velocity: wp.vec3  # [1/s]
+    attitude: float  # [1/s]
+    mixing: float  # [-]
+    rate: wp.vec3  # [1/s]
+    least_thrust: float  # [m/s²]
+    most_thrust: float  # [m/s²]
+    tilt_rate_limit: float  # [rad/s]
+    yaw_rate_limit: float  # [rad/s]
+
+
+def brescianini_rows(gains: "BrescianiniGains") -> Mapping[str, Tensor]:
+    """Return the fields of ``BrescianiniRows`` in their order, each (E, ...)."""
+    return {
+        name: rows[:, 0] if BrescianiniRows.cls.__annotations__[name] is float else rows
+        for name, rows in vars(gains).items()
+    }
+
+
+@wp.func
+def load_brescianini(source: wp.array2d[float], first: int, env: int) -> BrescianiniRows:
+    """Return the gains of one environment from the rows of (N, E)."""
+    gains = BrescianiniRows()
+    gains.mass = source[first, env]
+    gains.inertia = wp.matrix_from_rows(
+        read_vec3(source, first + 1, env), read_vec3(source, first + 4, env), read_vec3(source, first + 7, env)
+    )
+    gains.position = read_vec3(source, first + 10, env)
+    gains.velocity = read_vec3(source, first + 13, env)
+    gains.attitude = source[first + 16, env]
+    gains.mixing = source[first + 17, env]
+    gains.rate = read_vec3(source, first + 18, env)
+    gains.least_thrust = source[first + 21, env]
+    gains.most_thrust = source[first + 22, env]
+    gains.tilt_rate_limit = source[first + 23, env]
+    gains.yaw_rate_limit = source[first + 24, env]
+    return gains
+
+
+def make_lean(*, gravity: float, max_inclination: float) -> wp.Function:
+    """Return ``brescianini.lean`` to a point at rest: thrust [N] and body rates [rad/s] that an action asks for."""
+    slope = tan(max_inclination)
+
+    @wp.func
+    def lean(
+        gains: BrescianiniRows, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3,
+        action: wp.vec4, arrays: LawArrays, env: int, since: int, dt: float,
+    ) -> wp.vec4:  # fmt: skip
+        error = wp.vec3(action[0], action[1], action[2]) - position
+        wanted = wp.cw_mul(gains.position, error) - wp.cw_mul(gains.velocity, lin_vel)
+        wanted += wp.vec3(0.0, 0.0, wp.static(gravity))
+        wanted = within_inclination(wanted, wp.static(LEAST_LIFT * gravity), wp.static(slope))
+        collective = wp.clamp(wanted[2] / up_of(attitude)[2], gains.least_thrust, gains.most_thrust)
+        turn = shortest_turn(wp.vec3(0.0, 0.0, 1.0), unit(wanted))
+        goal = turn * wp.quat(0.0, 0.0, wp.sin(0.5 * action[3]), wp.cos(0.5 * action[3]))
+        rates = 2.0 * gains.attitude * tilt_first_error(attitude, goal, gains.mixing)
+        size = wp.sqrt(rates[0] * rates[0] + rates[1] * rates[1])
+        share = gains.tilt_rate_limit / wp.max(size, gains.tilt_rate_limit)
+        return wp.vec4(
+            gains.mass * collective,
+            share * rates[0],
+            share * rates[1],
+            wp.clamp(rates[2], -gains.yaw_rate_limit, gains.yaw_rate_limit),
+        )
+
+    return lean
+
+
+def make_turn(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
+    """Return ``brescianini.turn`` and the allocation behind it."""
+    types = rotor_types(num_rotors, general)
+    command_type, vector = types.command, types.vector
+    allot, speed_of = make_allot(law, num_rotors, general), make_speed_of(num_rotors, general)
+
+    @wp.func
+    def run_loop(
+        params: command_type, gains: BrescianiniRows, attitude: wp.quat, ang_vel: wp.vec3, setpoint: wp.vec4,
+        arrays: LawArrays, env: int, since: int, dt: float,
+    ) -> vector:  # fmt: skip
+        error = wp.vec3(setpoint[1], setpoint[2], setpoint[3]) - ang_vel
+        torque = gains.inertia * wp.cw_mul(gains.rate, error)
+        thrust, _turn, _rest = allot(params, wp.spatial_vector(0.0, 0.0, setpoint[0], torque[0], torque[1], torque[2]))
+        return speed_of(params, thrust)
+
+    return run_loop
+
+
+def brescianini_maker(timing: Timing, layout: "Layout", *, gravity: float, max_inclination: float) -> Maker:
+    """Return what composes the controller for a number of rotors: ``FusedLaw.remembering``."""
+
+    def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
+        wish = make_lean(gravity=gravity, max_inclination=max_inclination)
+        run = make_two_levels(law, num_rotors, general, timing, wish, make_turn(law, num_rotors, general))
+        return make_remembering(law, num_rotors, general, timing, layout, run)
+
+    return make
