@@ -219,7 +219,8 @@ class Climber:
             return beyond_structures(structures, residuals, weights)
 
         linear = [tolerance, *(one.columns for one in several if one.name not in params.effects)]
-        own = [np.concatenate(parts, axis=2) for parts in zip(*(one.columns for one in common), strict=True)]
+        nothing = [np.empty((*residual.shape, 0)) for residual in self.missed]
+        own = [np.concatenate(parts, axis=2) for parts in zip(nothing, *(one.columns for one in common), strict=True)]
         return weighting(self.predictor, start, tuple(one.name for one in common), own, linear, beyond=beyond)
 
     def start_from(
