@@ -7,7 +7,7 @@ import pytest
 from aerial_gym.interop import one_thread
 from aerial_gym.sim2real.identify.output_error import Refit, refit_on_rollouts
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
-from aerial_gym.sim2real.identify.selection.select import select_effects
+from aerial_gym.sim2real.identify.selection.select import Selection, select_effects
 from aerial_gym.sim2real.identify.window_rollouts import eliminated
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.predict.channels import find_channels
@@ -23,16 +23,17 @@ AXES = ("dx", "dy")
 def refit(folder, effect: str, tables: list[pd.DataFrame]) -> Refit:
     """Return the refit of one effect, the only one that is looked for."""
     with one_thread():
-        return _refit(folder, effect, tables)
+        return refit_on_rollouts(*selected(folder, effect, tables))
 
 
-def _refit(folder, effect: str, tables: list[pd.DataFrame]) -> Refit:
+def selected(folder, effect: str, tables: list[pd.DataFrame]) -> tuple[Predictor, Selection]:
+    """Return the selection where one effect alone is looked for, and what it predicts with."""
     paths = [write(table, folder / f"f{number}.csv") for number, table in enumerate(tables)]
     flights = load_flights(paths, ROBOT, mapping=None, bandwidth=10.0)
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
     selection = select_effects(predictor, declared_params(ROBOT), Criteria(), candidates=(effect,))
     assert selection.accepted == (effect,)
-    return refit_on_rollouts(predictor, selection)
+    return predictor, selection
 
 
 def flights_with_drag(noise: float) -> list[pd.DataFrame]:
@@ -68,18 +69,39 @@ def test_rollouts_decide_where_accelerometers_are_noisy(tmp_path) -> None:
 
 
 @pytest.mark.slow
-def test_a_sensor_that_reads_too_little_is_told_by_the_difference(tmp_path) -> None:
-    """An accelerometer that reads 20 % less sideways: single steps say 20 % less drag, rollouts the truth; both cannot hold."""
+def test_a_sensor_that_reads_too_little_strains_its_tolerance_and_does_not_decide(tmp_path) -> None:
+    """An accelerometer that reads 20 % less sideways: its scale is many tolerances away, and rollouts have the true drag."""
     tables = flights_with_drag(1.0)
     for table in tables:
         table[["acc_x", "acc_y"]] *= 0.8
-    found = refit(tmp_path, "rotor_drag", tables)
+    with one_thread():
+        predictor, selection = selected(tmp_path, "rotor_drag", tables)
+        found = refit_on_rollouts(predictor, selection)
+    deviation = dict(zip(predictor.tolerances.names(4), selection.chosen.named.deviation, strict=True))
+    assert deviation["acc_scale_x"] < -5.0
+    assert deviation["acc_scale_y"] < -5.0
+    assert abs(deviation["acc_scale_z"]) < 1.0
     for change in found.changes:
         if change.parameter in AXES:
             assert change.step < 0.85 * DRAG
             assert abs(change.rollout - DRAG) < 3.0 * change.std
     assert not found.adopted
     assert any("specific_force" in objection for objection in found.objections)
+
+
+@pytest.mark.slow
+def test_a_sensor_that_is_cut_off_is_told_by_the_difference(tmp_path) -> None:
+    """An accelerometer that reads half of the largest sideways force at most: steps say less drag, rollouts the truth."""
+    tables = flights_with_drag(1.0)
+    for table in tables:
+        most = 0.5 * table[["acc_x", "acc_y"]].abs().quantile(0.99).max()
+        table[["acc_x", "acc_y"]] = table[["acc_x", "acc_y"]].clip(-most, most)
+    found = refit(tmp_path, "rotor_drag", tables)
+    for change in found.changes:
+        if change.parameter in AXES:
+            assert change.step < 0.9 * DRAG
+            assert abs(change.rollout - DRAG) < 3.0 * change.std
+    assert not found.adopted
     assert any("rotor_drag dx" in text for text in found.contradictions)
     assert any("single steps rule out its rotor_drag dx" in text for text in found.objections)
 
