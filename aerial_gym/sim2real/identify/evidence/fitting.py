@@ -395,19 +395,3 @@ def label_in(library: Library, model: Model) -> Label:
     chosen = [library.candidates[k] for k in model]
     effects = [(one.name, one.start) for one in chosen if not one.structure]
     return label_of(effects, [one.name for one in chosen if one.structure])
-
-
-def narrowest(present: Fitted, fits: Iterable[Fitted], reach: float) -> Fitted:
-    """Return a set, or the best of those with a narrower case of one of its effects that are less than ``reach`` behind.
-
-    Where flights do not tell them apart, the narrower case is meant (``Effect.contains``).
-    """
-    least = present.log_posterior - reach
-    cases = [one for one in fits if one.holds and one.log_posterior > least and _narrower(one, present)]
-    return max(cases, key=lambda one: one.log_posterior, default=present)
-
-
-def _narrower(one: Fitted, other: Fitted) -> bool:
-    new, gone = set(one.effects) - set(other.effects), set(other.effects) - set(one.effects)
-    same = [structure.name for structure in one.structures] == [structure.name for structure in other.structures]
-    return same and len(new) == len(gone) == 1 and new <= {case for wide in gone for case in EFFECTS.get(wide).contains}

@@ -3,7 +3,7 @@
 Every effect must hold against the scatter between flights, and be worth more than a trifle.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +23,6 @@ from aerial_gym.sim2real.identify.evidence.fitting import (
     Fitted,
     Fitter,
     label_of,
-    narrowest,
 )
 from aerial_gym.sim2real.identify.evidence.laplace import Posterior, posterior
 from aerial_gym.sim2real.identify.evidence.linear import linear_about
@@ -287,3 +286,19 @@ class _Chooser:
                 if varied - fitter.log_names - steady > reach_of(present) and share > STEADY:
                     found[name] = kind
         return found
+
+
+def narrowest(present: Fitted, fits: Iterable[Fitted], reach: float) -> Fitted:
+    """Return a set, or the best of those with a narrower case of one of its effects that are less than ``reach`` behind.
+
+    Where flights do not tell them apart, the narrower case is meant (``Effect.contains``).
+    """
+    least = present.log_posterior - reach
+    cases = [one for one in fits if one.holds and one.log_posterior > least and _narrower(one, present)]
+    return max(cases, key=lambda one: one.log_posterior, default=present)
+
+
+def _narrower(one: Fitted, other: Fitted) -> bool:
+    new, gone = set(one.effects) - set(other.effects), set(other.effects) - set(one.effects)
+    same = [structure.name for structure in one.structures] == [structure.name for structure in other.structures]
+    return same and len(new) == len(gone) == 1 and new <= {case for wide in gone for case in EFFECTS.get(wide).contains}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from aerial_gym.sim2real.identify.candidates.library import Candidate, Library
-from aerial_gym.sim2real.identify.evidence.fitting import Fitter, narrowest
+from aerial_gym.sim2real.identify.evidence.fitting import Fitter
 from aerial_gym.sim2real.identify.evidence.probabilities import inclusion_in, probabilities_of
 from aerial_gym.sim2real.identify.evidence.search import Sets
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
@@ -103,15 +103,6 @@ def test_a_robot_file_holds_nothing_that_ends_where_physics_does() -> None:
     found, ends = Made(kept).in_file(kept)
     assert found is kept
     assert ends == {}
-
-
-@pytest.mark.parametrize(("behind", "expected"), [(1.0, "constant_wind"), (5.0, "wind_shear")])
-def test_of_a_case_and_a_wider_one_that_are_not_told_apart_the_narrower_is_meant(behind: float, expected: str) -> None:
-    """A wind that grows with height contains a steady one; beside another structure it is another set, and so is drag."""
-    wide = fitted("wind_shear", log=0.0)
-    others = [fitted("rotor_drag", log=-0.1), fitted(log=-0.2), fitted("constant_wind", log=0.0, structures=(PLACE,))]
-    assert narrowest(wide, [wide, *others], 3.0) is wide
-    assert narrowest(wide, [wide, *others, fitted("constant_wind", log=-behind)], 3.0).effects == (expected,)
 
 
 def test_a_set_is_fitted_again_by_the_derivatives_of_its_own_fit_alone() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted, Fitter
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import scales
-from aerial_gym.sim2real.identify.selection.choose import Chosen, _Chooser, choose_effects
+from aerial_gym.sim2real.identify.selection.choose import Chosen, _Chooser, choose_effects, narrowest
 from aerial_gym.sim2real.identify.selection.climb import Climber
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.logs.flights import load_flights
@@ -235,3 +235,12 @@ def test_an_effect_of_which_flights_show_no_parameter_has_no_name() -> None:
     assert found is drag
     assert blind == ["com_offset"]
     assert object.__new__(_Chooser).shown(both, Made(drag)) == (both, [])
+
+
+@pytest.mark.parametrize(("behind", "expected"), [(1.0, "constant_wind"), (5.0, "wind_shear")])
+def test_of_a_case_and_a_wider_one_that_are_not_told_apart_the_narrower_is_meant(behind: float, expected: str) -> None:
+    """A wind that grows with height contains a steady one; beside another structure it is another set, and so is drag."""
+    wide = fitted("wind_shear", log=0.0)
+    others = [fitted("rotor_drag", log=-0.1), fitted(log=-0.2), fitted("constant_wind", log=0.0, structures=(PLACE,))]
+    assert narrowest(wide, [wide, *others], 3.0) is wide
+    assert narrowest(wide, [wide, *others, fitted("constant_wind", log=-behind)], 3.0).effects == (expected,)
