@@ -26,7 +26,7 @@ GRAVITY = 9.81
 """The firmware's [m/s²]."""
 
 BRESCIANINI_MASS = 0.029
-"""Compiled into the firmware's controller of Brescianini [kg], as what follows."""
+"""Compiled into the firmware's controller of Brescianini [kg], as what follows: numbers that its source has."""
 
 BRESCIANINI_INERTIA = ((16.6e-6, 0.83e-6, 0.72e-6), (0.83e-6, 16.6e-6, 1.8e-6), (0.72e-6, 1.8e-6, 29.3e-6))
 """[kg m²]."""

@@ -121,9 +121,7 @@ def tangents_about(
     for name, point in origins(declared, present, accepted, skipped, predictor.robot):
         named = point is present
         columns = effect_jacobian(predictor, point, (name,), base if named else predictor.predict(point))
-        if all(
-            np.isfinite(part).all() for part in columns
-        ):  # else a pendulum that goes over the top of the present model
+        if all(np.isfinite(part).all() for part in columns):  # else a pendulum goes over the top of the present model
             found.append(Tangent(name=name, named=named, start=point.effects[name], columns=single(columns)))
     return found
 
