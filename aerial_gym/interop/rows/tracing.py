@@ -6,6 +6,7 @@ add scalars, each only once.
 Letters: B rows of the trace.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -13,11 +14,14 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from aerial_gym.interop.rows.operations import COMPOSED, IN_PLACE, INTO_ZEROS, MOVES, POINTWISE, REDUCTIONS
+
+Array = NDArray[np.int64]
 
 ROWS = 97
 """Rows of the trace, B: a prime number that is no other size."""
@@ -61,16 +65,16 @@ class Trace:
     lifted: list[Tensor] = field(default_factory=list)
     """Tensors that the function took from elsewhere, (E, ...), or (...) where all rows are one: inputs behind its own."""
 
-    _numbers: dict[tuple[str, tuple[str, ...], torch.dtype], int] = field(default_factory=dict)
+    _numbers: dict[tuple[str, str | tuple[Any, ...], torch.dtype], int] = field(default_factory=dict)
 
     def number(self, kind: str, args: tuple[Any, ...], dtype: torch.dtype) -> int:
         """Return the number of a scalar, a new one if there is none like it."""
-        scalar = Scalar(kind, args, dtype)
-        key = (kind, tuple(map(repr, args)), dtype)  # so that 0.0 is not -0.0
-        if key not in self._numbers:
-            self._numbers[key] = len(self.scalars)
-            self.scalars.append(scalar)
-        return self._numbers[key]
+        key = (kind, repr(args) if kind == "constant" else args, dtype)  # 0.0 is not -0.0
+        found = self._numbers.get(key)
+        if found is None:
+            found = self._numbers[key] = len(self.scalars)
+            self.scalars.append(Scalar(kind, args, dtype))
+        return found
 
     def cast(self, number: int, dtype: torch.dtype) -> int:
         """Return the scalar as another type."""
@@ -107,22 +111,91 @@ def trace(
     for result in results if isinstance(results, tuple) else (results,):
         if not isinstance(result, Tensor) or result.shape[:1] != (ROWS,) or not watch.follows(result):
             raise UntraceableError("a result does not have a row for each environment")
-        numbers = watch.numbers_of(result, result.dtype).expand(result.shape)
-        into.outputs.append((_unmarked(numbers).flatten().tolist(), tuple(result.shape[1:]), result.dtype))
+        numbers = watch.scalars_of(result, result.dtype).one
+        into.outputs.append((numbers.ravel().tolist(), tuple(result.shape[1:]), result.dtype))
     return into
 
 
-class _Watch(TorchDispatchMode):
-    """Does every operation of torch, and notes what it does to the scalars of its arguments.
+class _Scalars:
+    """The scalars of a tensor, by their numbers."""
 
-    The scalars of a tensor are int64: (B, ...), in every row the same but for the row's ``_MARK``, or of any shape for what
-    all rows share.
+    def __init__(self, one: Array, *, rows: bool, marked: bool = True, numbers: Tensor | None = None) -> None:
+        """Take those of one row, or what all rows share.
+
+        Args:
+            one: The numbers, without the dimension of the rows.
+            rows: Whether they are those of one row.
+            marked: Whether each row is marked as its own; what is the same in all rows need not be.
+            numbers: Those of all rows, where they are known.
+        """
+        self.one, self.rows, self._marked, self._all = one, rows, marked, numbers
+
+    @classmethod
+    def moved(cls, numbers: Tensor) -> "_Scalars":
+        """Return what an operation that moves elements has made of the numbers of all rows.
+
+        Raises:
+            UntraceableError: If a row does not have its own.
+        """
+        return cls(_unmarked(numbers), rows=numbers.shape[:1] == (ROWS,), numbers=numbers)
+
+    @property
+    def all(self) -> Tensor:
+        """Those of all rows, (B, ...), in every row the same but for the row's ``_MARK``; of any shape what is shared.
+
+        Made when they are asked for: most scalars are not moved.
+        """
+        if self._all is None:
+            self._all = torch.from_numpy(self.one)
+            if self.rows:
+                rows = self._all.expand(ROWS, *self.one.shape)
+                self._all = rows + _marks(self.one.ndim) if self._marked else rows
+        return self._all
+
+    @property
+    def ndim(self) -> int:
+        """Dimensions of the tensor."""
+        return self.one.ndim + self.rows
+
+    def each(self, change: Callable[[int], int]) -> "_Scalars":
+        """Return what a function makes of each."""
+        changed = [change(number) for number in self.one.ravel().tolist()]
+        return _Scalars(np.array(changed, dtype=np.int64).reshape(self.one.shape), rows=self.rows)
+
+
+def _side_by_side(make: Callable[..., int], given: Sequence[_Scalars], shape: torch.Size) -> _Scalars:
+    """Return the scalars that ``make`` gives for those side by side, for a result of a shape.
+
+    Raises:
+        UntraceableError: If rows of one are beside what are no rows of another.
     """
+    rows, ndim = any(each.rows for each in given), max(each.ndim for each in given)
+    ones = []
+    for each in given:
+        if each.rows and each.ndim != ndim:
+            raise UntraceableError("an operation mixes rows")
+        ones.append(each.one[0] if rows and not each.rows and each.ndim == ndim else each.one)
+    if any(one.shape != ones[0].shape for one in ones):
+        ones = np.broadcast_arrays(*ones)
+    made = np.array([make(*row) for row in zip(*(one.ravel().tolist() for one in ones), strict=True)], dtype=np.int64)
+    made, has_rows = made.reshape(ones[0].shape), shape[:1] == (ROWS,)
+    if has_rows and not rows and made.ndim == len(shape):
+        made = made[0]
+    expected = tuple(shape[has_rows:])
+    made = made if made.shape == expected else np.broadcast_to(made, expected).copy()
+    return _Scalars(made, rows=has_rows, marked=rows)
+
+
+class _Watch(TorchDispatchMode):
+    """Does every operation of torch, and notes what it does to the scalars of its arguments."""
 
     def __init__(self, into: Trace) -> None:
         super().__init__()
         self.into = into
-        self._numbers: dict[int, tuple[Tensor, Tensor | None]] = {}  # by id of a tensor that is kept; None: a constant
+        self._scalars: dict[
+            int, tuple[Tensor, _Scalars | None]
+        ] = {}  # by id of a tensor that is kept; None: a constant
+        self._literals: dict[tuple[str, torch.dtype | None], tuple[_Scalars, torch.dtype]] = {}
         self._large: dict[int, tuple[Tensor, str]] = {}
 
     @classmethod
@@ -139,50 +212,60 @@ class _Watch(TorchDispatchMode):
             return large
         self.into.widths[position] = shape.numel()
         found = [self.into.number(kind, (position, i), tensor.dtype) for i in range(shape.numel())]
-        numbers = torch.tensor(found, dtype=torch.int64).view(shape)
-        return self._note(torch.zeros(first + tuple(shape), dtype=tensor.dtype), _marked(numbers) if rows else numbers)
+        scalars = _Scalars(np.array(found, dtype=np.int64).reshape(tuple(shape)), rows=rows)
+        return self._note(torch.zeros(first + tuple(shape), dtype=tensor.dtype), scalars)
 
     def knows(self, tensor: Tensor) -> bool:
         """Return whether the tensor is an input or was made from inputs and constants."""
-        return id(tensor) in self._numbers or id(tensor) in self._large
+        return id(tensor) in self._scalars or id(tensor) in self._large
 
     def follows(self, tensor: Tensor) -> bool:
         """Return whether the tensor depends on an input."""
-        return self._numbers.get(id(tensor), (None, None))[1] is not None
+        return self._scalars.get(id(tensor), (None, None))[1] is not None
 
-    def numbers_of(self, value: Any, dtype: torch.dtype | None = None) -> Tensor:
+    def scalars_of(self, value: Any, dtype: torch.dtype | None = None) -> _Scalars:
         """Return the scalars, as a type, of a followed tensor, of one that is the same for all rows, or of a number."""
-        known = self._numbers.get(id(value), (None, None))[1] if isinstance(value, Tensor) else None
+        known = self._scalars.get(id(value), (None, None))[1] if isinstance(value, Tensor) else None
         if known is not None:
-            numbers, given = known, value.dtype
+            found, given = known, value.dtype
+        elif isinstance(value, Tensor):
+            found, given = self._constant(value.detach()), value.dtype
         else:
-            plain = value.detach() if isinstance(value, Tensor) else torch.tensor(value, dtype=dtype)
-            one = plain[:1] if _same_rows(plain) else plain
-            if one.numel() > LARGEST_ROW:
-                raise UntraceableError(f"a constant of {one.numel()} entries")
-            found = [self.into.number("constant", (entry,), plain.dtype) for entry in one.flatten().tolist()]
-            numbers = torch.tensor(found, dtype=torch.int64).view(one.shape).expand(plain.shape)
-            given = plain.dtype
-        if dtype is None or given == dtype:
-            return numbers
-        return _each(lambda number: self.into.cast(number, dtype), numbers)
+            key = (repr(value), dtype)
+            if key not in self._literals:
+                plain = torch.tensor(value, dtype=dtype)
+                self._literals[key] = self._constant(plain), plain.dtype
+            found, given = self._literals[key]
+        return found if dtype is None or given == dtype else found.each(lambda number: self.into.cast(number, dtype))
+
+    def _constant(self, plain: Tensor) -> _Scalars:
+        rows = plain.shape[:1] == (ROWS,)
+        same = rows and bool(((plain == plain[:1]) | (plain != plain)).all())
+        one = plain[0] if same else plain
+        if one.numel() > LARGEST_ROW:
+            raise UntraceableError(f"a constant of {one.numel()} entries")
+        if rows and not same:
+            raise UntraceableError("an operation mixes rows")
+        found = [self.into.number("constant", (entry,), plain.dtype) for entry in one.flatten().tolist()]
+        return _Scalars(np.array(found, dtype=np.int64).reshape(tuple(one.shape)), rows=rows, marked=False)
 
     def __torch_dispatch__(
         self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None
     ) -> Any:
         """Do the operation on the tensors and on their scalars."""
         kwargs, name = kwargs or {}, func.overloadpacket.__name__
-        for leaf in _leaves((args, kwargs)):
+        tensors = [leaf for leaf in _leaves((args, kwargs)) if isinstance(leaf, Tensor)]
+        for leaf in tensors:
             if id(leaf) in self._large:
                 raise UntraceableError(self._large[id(leaf)][1])
-        follows = any(isinstance(leaf, Tensor) and self.follows(leaf) for leaf in _leaves((args, kwargs)))
+        follows = any(map(self.follows, tensors))
         if follows and name in COMPOSED:
             with self:
                 return COMPOSED[name](*args, **kwargs)
         if follows and name in IN_PLACE and torch._C._current_graph_task_id() >= 0:  # on tensors of its own
             with self:
                 result = IN_PLACE[name](*args, **kwargs)
-            return self._note(args[0], self.numbers_of(result, args[0].dtype))
+            return self._note(args[0], self.scalars_of(result, args[0].dtype))
         if follows and not any(name in known for known in (MOVES, INTO_ZEROS, REDUCTIONS, POINTWISE)):
             with self:
                 result = func.decompose(*args, **kwargs)
@@ -197,21 +280,17 @@ class _Watch(TorchDispatchMode):
         if not follows:
             return _mapped(result, lambda leaf: self._note(leaf, None) if isinstance(leaf, Tensor) else leaf)
         if name in INTO_ZEROS:
-            numbers = self._into_zeros(name, args, result)
-        elif name in MOVES:
-            numbers = self._moved(func, args, kwargs, result)
-        elif name in REDUCTIONS:
-            numbers = self._reduced(name, args, kwargs, result)
-        else:
-            numbers = self._pointwise(name, args, kwargs, result)
-        if isinstance(result, (list, tuple)):
-            return [self._note(leaf, each) for leaf, each in zip(result, numbers, strict=True)]
-        return self._note(result, numbers)
+            return self._note(result, _Scalars.moved(self._into_zeros(name, args, result)))
+        if name in MOVES:
+            moved = self._moved(func, args, kwargs, result)
+            if isinstance(result, (list, tuple)):
+                return [self._note(leaf, _Scalars.moved(own)) for leaf, own in zip(result, moved, strict=True)]
+            return self._note(result, _Scalars.moved(moved))
+        make = self._reduced if name in REDUCTIONS else self._pointwise
+        return self._note(result, make(name, args, kwargs, result))
 
-    def _note(self, tensor: Tensor, numbers: Tensor | None) -> Tensor:
-        if numbers is not None:
-            _unmarked(numbers)
-        self._numbers[id(tensor)] = (tensor, numbers)
+    def _note(self, tensor: Tensor, scalars: _Scalars | None) -> Tensor:
+        self._scalars[id(tensor)] = (tensor, scalars)
         return tensor
 
     def _moved(self, func: Any, args: Any, kwargs: Any, result: Any) -> Any:
@@ -221,7 +300,8 @@ class _Watch(TorchDispatchMode):
             value = args[2] if len(args) > 2 else kwargs.get("value", 0.0)
             args = (*args[:2], self.into.number("constant", (torch.tensor(value, dtype=dtype).item(),), dtype))
         return func(
-            *_mapped(args, lambda leaf: self.numbers_of(leaf, dtype) if isinstance(leaf, Tensor) else leaf), **kwargs
+            *_mapped(args, lambda leaf: self.scalars_of(leaf, dtype).all if isinstance(leaf, Tensor) else leaf),
+            **kwargs,
         )
 
     def _into_zeros(self, name: str, args: Any, result: Tensor) -> Tensor:
@@ -229,11 +309,11 @@ class _Watch(TorchDispatchMode):
         zero = self.into.number("constant", (torch.zeros((), dtype=result.dtype).item(),), result.dtype)
         numbers = torch.full(result.shape, zero, dtype=torch.int64)
         if result.shape[:1] == (ROWS,):
-            numbers = _marked(numbers[0])
-        INTO_ZEROS[name](numbers, *args[2:]).copy_(self.numbers_of(args[0], result.dtype))
+            numbers += _marks(result.ndim - 1)
+        INTO_ZEROS[name](numbers, *args[2:]).copy_(self.scalars_of(args[0], result.dtype).all)
         return numbers
 
-    def _pointwise(self, name: str, args: Any, kwargs: Any, result: Tensor) -> Tensor:
+    def _pointwise(self, name: str, args: Any, kwargs: Any, result: Tensor) -> _Scalars:
         operation = POINTWISE[name]
         if (unknown := set(kwargs) - operation.known) or (operation.floats and not result.dtype.is_floating_point):
             raise UntraceableError(f"torch.{name} of {result.dtype}{' with ' if unknown else ''}{', '.join(unknown)}")
@@ -242,31 +322,23 @@ class _Watch(TorchDispatchMode):
         values = operation.arguments(args, kwargs)
         inside = torch.result_type(*values) if operation.compares else operation.inside or result.dtype
         types = operation.types or (inside,) * len(values)
-        numbers = [self.numbers_of(value, dtype) for value, dtype in zip(values, types, strict=True)]
-        made = _each(lambda *row: operation.make(self.into, row, result.dtype), *numbers)
-        made = _each(lambda number: self.into.cast(number, result.dtype), made)
-        return made.expand(result.shape)
+        given = [self.scalars_of(value, dtype) for value, dtype in zip(values, types, strict=True)]
+        into, dtype = self.into, result.dtype
+        return _side_by_side(lambda *row: into.cast(operation.make(into, row, dtype), dtype), given, result.shape)
 
-    def _reduced(self, name: str, args: Any, kwargs: Any, result: Tensor) -> Tensor:
+    def _reduced(self, name: str, args: Any, kwargs: Any, result: Tensor) -> _Scalars:
         reduction, given = REDUCTIONS[name], args[0]
         dims, keep = reduction.dims(args, kwargs, given.ndim)
-        if given.shape[:1] == (ROWS,) and 0 in dims:
+        scalars = self.scalars_of(given, torch.bool if name in ("any", "all") else result.dtype)
+        if scalars.rows and 0 in dims:
             raise UntraceableError(f"torch.{name} over the rows")
-        numbers = self.numbers_of(given, torch.bool if name in ("any", "all") else result.dtype)
-        kept = [dim for dim in range(given.ndim) if dim not in dims]
-        front = numbers.permute(*kept, *sorted(dims)).reshape(*(numbers.shape[dim] for dim in kept), -1)
-        made = _each(lambda *row: reduction.make(self.into, row, result.dtype, args, kwargs), *front.unbind(-1))
-        if keep:
-            for dim in sorted(dims):
-                made = made.unsqueeze(dim)
-        return made
-
-
-def _same_rows(constant: Tensor) -> bool:
-    """Return whether a constant has a row for each one of the trace, all of them the same."""
-    if constant.shape[:1] != (ROWS,):
-        return False
-    return bool(((constant == constant[:1]) | (constant != constant)).all())
+        one, over = scalars.one, sorted(dim - scalars.rows for dim in dims)
+        kept = [dim for dim in range(one.ndim) if dim not in over]
+        shape = [one.shape[dim] for dim in kept]
+        rows = one.transpose(kept + over).reshape(math.prod(shape), -1).tolist()
+        made = [reduction.make(self.into, tuple(row), result.dtype, args, kwargs) for row in rows]
+        found = np.array(made, dtype=np.int64).reshape(shape)
+        return _Scalars(np.expand_dims(found, over) if keep else found, rows=scalars.rows)
 
 
 class _Elsewhere(TorchFunctionMode):
@@ -304,24 +376,19 @@ class _Elsewhere(TorchFunctionMode):
         return found if own else found.expand(ROWS, *found.shape)
 
 
-def _marked(numbers: Tensor) -> Tensor:
-    """Return the scalars of one row for all rows."""
-    return numbers.unsqueeze(0) + _marks(numbers.ndim)
-
-
 @cache
 def _marks(ndim: int) -> Tensor:
     """Return the marks of all rows, for rows of so many dimensions."""
     return _MARK * torch.arange(1, ROWS + 1).view(-1, *[1] * ndim)
 
 
-def _unmarked(numbers: Tensor) -> Tensor:
+def _unmarked(numbers: Tensor) -> Array:
     """Return the scalars of one row, or of what all rows share.
 
     Raises:
         UntraceableError: If a row does not have its own.
     """
-    given = numbers.numpy()  # small arrays: NumPy does them in a fraction of the time
+    given = numbers.numpy()
     rows = numbers.shape[:1] == (ROWS,)
     first = given[0] if rows else given
     own = first >= _MARK if rows else False  # the others are constants or shared
@@ -329,17 +396,7 @@ def _unmarked(numbers: Tensor) -> Tensor:
         rows and not (given[1:] - given[:-1] == own * _MARK).all()
     ):
         raise UntraceableError("an operation mixes rows")
-    return torch.from_numpy(np.asarray(first - own * _MARK))
-
-
-def _each(make: Callable[..., int], *numbers: Tensor) -> Tensor:
-    """Return the scalars that ``make`` gives for those side by side, made once for a row where there are rows."""
-    together = torch.broadcast_tensors(*numbers)
-    rows = together[0].shape[:1] == (ROWS,)
-    single = [_unmarked(tensor) for tensor in together]
-    found = [make(*row) for row in zip(*(tensor.flatten().tolist() for tensor in single), strict=True)]
-    made = torch.tensor(found, dtype=torch.int64).view(single[0].shape)
-    return _marked(made) if rows else made
+    return np.asarray(first - own * _MARK)
 
 
 def _leaves(value: Any) -> list[Any]:
