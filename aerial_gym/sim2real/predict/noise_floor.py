@@ -5,10 +5,12 @@ spectrum of the residual is fitted by a level, and a part that grows with the sq
 signal); both are carried down through the low-pass. Vibration above the band makes the floor too high, never too low, and so
 does a log that is too slow to tell the level from the growth.
 Neither falls: where the spectrum does, a filter of the sensor has taken the noise away, and lines from there on do not count.
+What rounding adds is not white where a signal stays between two values of its log: it is seen by rounding anew.
 Letters: C channels.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +58,9 @@ BAND_RATIO = 1.6
 SEGMENT_S = 2.0
 """Length of a segment of Welch's spectrum [s]."""
 
+LOGS = 4
+"""How often a log is rounded anew."""
+
 FEWEST_LINES = 4
 """Fewer spectral lines than this give no floor."""
 
@@ -80,21 +85,69 @@ def floor_of_flight(
 
     The level is that of a prediction from measured rotor speeds. Of its noise N a prediction from expected ones has the share
     s of motion, and differs from it by ``(1 - s)² (N + S) = (1 - s) N``: what the two differ by is taken off, as far as the
-    noise of what is predicted allows.
+    noise of what is predicted allows. What rounding leaves in the band beyond that level is added.
     """
     readings, rate = [is_reading(channel, flight) for channel in channels], flight.rate
     as_logged = wide_predictor(robot, flight, channels, [as_measured(flight)])
     rows = longest_flight(flight, as_logged.times[0], bandwidth)
     floor = floor_of_columns(as_logged.residuals(point)[0][rows], rate, bandwidth, readings)
     expected = estimate_rotors(robot, [flight], bandwidth)
-    if floor is None or expected[0] is None:
-        return floor
+    if floor is None:
+        return None
+    slow = square_of_slow_rounding(robot, flight, point, channels, bandwidth)
+    if expected[0] is None:
+        return np.sqrt(floor**2 + slow)
     quiet = wide_predictor(robot, flight, channels, expected)
     apart = (as_logged.predict(point)[0] - quiet.predict(point)[0])[rows]
     least = floor_of_columns(as_logged.measured[0][rows], rate, bandwidth, readings)
     assert least is not None
     left = floor**2 - (lowpass(apart, rate, bandwidth) ** 2).mean(axis=0)
-    return np.sqrt(np.maximum(left, np.minimum(floor, least) ** 2))
+    return np.sqrt(np.maximum(left, np.minimum(floor, least) ** 2) + slow)
+
+
+def square_of_slow_rounding(
+    robot: RobotCfg, flight: Flight, point: ModelParams, channels: Sequence[Channel], bandwidth: float
+) -> Array:
+    """Return the mean square of what rounding leaves of each channel in the band, and that above it does not tell, (C,).
+
+    From the difference between the residuals of two logs, of which one is the other one rounded.
+    """
+    given = {name: getattr(flight, name) for name in ("rotor_speed", "rotor_command", "specific_force", "ang_vel")}
+    flown = slice(None) if flight.on_ground is None else ~flight.on_ground
+    logs = {name: rounded_anew(v, flight.rate, bandwidth, flown) for name, v in given.items() if v is not None}
+    free, *rounded = (replace(flight, **dict(zip(logs, log, strict=True))) for log in zip(*logs.values(), strict=True))
+    plain = wide_predictor(robot, free, channels, [as_measured(free)])
+    rows = longest_flight(flight, plain.times[0], bandwidth)
+    readings, squares = [is_reading(channel, flight) for channel in channels], []
+    for log in rounded:
+        noisy = wide_predictor(robot, log, channels, [as_measured(log)])
+        apart = (noisy.residuals(point)[0] - plain.residuals(point)[0])[rows]
+        told = floor_of_columns(apart, flight.rate, bandwidth, readings)
+        assert told is not None
+        squares.append((lowpass(apart, flight.rate, bandwidth) ** 2).mean(axis=0) - told**2)
+    return np.maximum(np.mean(squares, axis=0), 0.0)
+
+
+def rounded_anew(values: Array, rate: float, bandwidth: float, rows: slice | NDArray[np.bool_]) -> list[Array]:
+    """Return a signal, and it as ``LOGS`` logs with steps as large as those of a log would hold it, (T, K) each.
+
+    The signal moves in the band as the logged values (T, K) do. Above it is noise, as much as they have beyond that of
+    rounding, a twelfth of a squared step: what scatters over several steps is rounded to another one each time. The steps are
+    those between the values that the log has of a column in ``rows``, and the noise is that in them; each of the other logs has
+    its values elsewhere between them, for in its own the signal stays on one.
+    """
+    slow, random = lowpass(values, rate, bandwidth), np.random.default_rng(0)
+    logs = np.empty((1 + LOGS, *values.shape))
+    for column, known in enumerate(map(np.unique, values[rows].T)):
+        places, moves = np.arange(known.size), slow[:, column]
+        step = np.interp(moves, known[1:], np.diff(known)) if known.size > 1 else 0.0
+        noise = np.mean((values[:, column] - moves)[rows] ** 2) - np.mean(np.square(step)) / 12.0
+        signal_ = moves + np.sqrt(max(noise, 0.0)) * random.standard_normal(moves.size)
+        logs[0, :, column] = np.clip(signal_, known[0], known[-1])
+        place = np.interp(logs[0, :, column], known, places)
+        for log, phase in zip(logs[1:], random.random(LOGS), strict=True):
+            log[:, column] = np.interp(np.round(place - phase) + phase, places, known)
+    return list(logs)
 
 
 def wide_predictor(

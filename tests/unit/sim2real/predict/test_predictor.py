@@ -28,7 +28,7 @@ from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import lowpass, uniform_log
 from aerial_gym.sim2real.predict.channels import Channel, find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
-from aerial_gym.sim2real.predict.noise_floor import noise_floor
+from aerial_gym.sim2real.predict.noise_floor import noise_floor, square_of_slow_rounding
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rollout import FARTHEST, roll_out, roll_out_variants
@@ -571,6 +571,36 @@ def test_the_noise_floor_is_the_residual_of_a_perfect_model(tmp_path: Path) -> N
     assert np.all((ratio > 0.7) & (ratio < 1.2)), ratio
     # Below 10 Hz, white noise of 0.05 m/s² at 400 Hz keeps sqrt(sum H²) of its power: 0.05 sqrt(2 * 0.92 * 10 / 400) = 0.011.
     assert floor[0] == pytest.approx(0.05 * np.sqrt(2.0 * 0.92 * 10.0 / 400.0), rel=0.1)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+@pytest.mark.parametrize("step", [20.0, 60.0])
+def test_the_noise_floor_of_rounded_rotor_speeds_is_what_a_perfect_model_leaves(
+    noise: float, step: float, tmp_path: Path
+) -> None:
+    """Speeds that stay within a step for long are wrong by the same all the while, which above the band is not seen.
+
+    What is white there alone would give 0.1 to 0.6 of it along z. Of one step or another, rms is known to half of itself.
+    """
+    found = load(tmp_path, rate=400.0, noise=noise, seconds=20.0)
+    assert found.rotor_speed is not None
+    coarse = replace(found, rotor_speed=np.round(found.rotor_speed / step) * step)
+    channels = find_channels([found])
+    floor = noise_floor(ROBOT, [coarse], ModelParams(), channels, bandwidth=BAND)
+    assert floor is not None
+    made = [channels.index(Channel(kind="specific_force", axis="z"))]
+    made += [channels.index(Channel(kind="angular_acceleration", axis=axis)) for axis in "xyz"]
+    ratio = (np.sqrt((residual(coarse, ModelParams()) ** 2).mean(axis=0)) / floor)[made]
+    assert np.all((ratio > 0.5) & (ratio < 2.0)), ratio
+
+
+def test_what_a_log_holds_in_full_has_no_noise_of_rounding(tmp_path: Path) -> None:
+    found = load(tmp_path, rate=400.0, noise=1.0, seconds=20.0)
+    channels = find_channels([found])
+    floor = noise_floor(ROBOT, [found], ModelParams(), channels, bandwidth=BAND)
+    assert floor is not None
+    square = square_of_slow_rounding(ROBOT, found, ModelParams(), channels, BAND)
+    assert (square < 0.01 * floor**2).all()
 
 
 def test_the_noise_floor_of_a_filtered_sensor_is_that_below_its_filter(tmp_path: Path) -> None:
