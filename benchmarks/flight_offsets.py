@@ -40,9 +40,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     from aerial_gym.env_manager.sim_builder import robot_by_name
     from aerial_gym.interop import one_thread
-    from aerial_gym.sim2real.close_loop import load_train_and_test
     from aerial_gym.sim2real.identify.selection.scoring import Criteria
     from aerial_gym.sim2real.identify.stages import declare, select
+    from aerial_gym.sim2real.logs.inputs import load_train_and_test
     from aerial_gym.sim2real.predict.tolerances import Tolerances
     from aerial_gym.sim2real.progress import silent
 
@@ -50,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as folder, one_thread():
         files = [of(args.data, Path(folder)) for of in (found.train, found.test)]
         robot = robot_by_name(found.robot)
-        train, test = load_train_and_test(robot, *files, found.mapping, found.bandwidth, silent)
+        train, test = load_train_and_test(robot, *files, found.mapping, found.bandwidth)
         declared = declare(robot, train, test, bandwidth=found.bandwidth, tolerances=Tolerances())
         chosen = select(declared, Criteria(), silent, candidates=args.effects).selection.chosen
     print(f"fitted: {', '.join(chosen.effects) or 'nothing'}; mean ± standard error")

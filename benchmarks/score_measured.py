@@ -133,15 +133,15 @@ def score(name: str, data: Path) -> dict[str, object]:
     """Return what the loop makes of a set; what it raised stands under ``error``."""
     from aerial_gym.env_manager.sim_builder import robot_by_name
     from aerial_gym.interop import one_thread
-    from aerial_gym.sim2real.close_loop import judge_flights, load_train_and_test
-    from aerial_gym.sim2real.progress import silent
+    from aerial_gym.sim2real.in_memory import judge_flights
+    from aerial_gym.sim2real.logs.inputs import load_train_and_test
 
     found = SETS[name]
     with tempfile.TemporaryDirectory() as folder, one_thread():
         try:
             train, test = (files(data, Path(folder)) for files in (found.train, found.test))
             robot = robot_by_name(found.robot)
-            flights = load_train_and_test(robot, train, test, found.mapping, found.bandwidth, silent)
+            flights = load_train_and_test(robot, train, test, found.mapping, found.bandwidth)
             start = time.process_time()
             judged = judge_flights(robot, *flights, bandwidth=found.bandwidth)
         except Exception as error:  # one bad set must not end the others; it is counted

@@ -92,8 +92,8 @@ def score(job: Job) -> dict[str, object]:
     """Return what the loop made of one case; what it raised stands under ``error``."""
     from aerial_gym.env_manager.sim_builder import robot_by_name
     from aerial_gym.interop import one_thread
-    from aerial_gym.sim2real.close_loop import judge_flights, load_train_and_test
-    from aerial_gym.sim2real.progress import silent
+    from aerial_gym.sim2real.in_memory import judge_flights
+    from aerial_gym.sim2real.logs.inputs import load_train_and_test
 
     row: dict[str, object] = {**asdict(job), "hidden": "+".join(job.hidden) or "nothing", "effects": list(job.hidden)}
     with tempfile.TemporaryDirectory() as name:
@@ -112,7 +112,7 @@ def score(job: Job) -> dict[str, object]:
             flown = time.monotonic()
             robot = robot_by_name(files.robot)
             with one_thread():
-                flights = load_train_and_test(robot, files.train, files.test, None, BANDWIDTH_HZ, silent)
+                flights = load_train_and_test(robot, files.train, files.test, None, BANDWIDTH_HZ)
                 verdict = judge_flights(robot, *flights, bandwidth=BANDWIDTH_HZ).verdict.as_mapping()
         except Exception as error:  # one bad case must not end a run of hours; it is counted, and not kept
             return {**row, "error": f"{type(error).__name__}: {error}", "verdict": "error", "named": [], "right": False}

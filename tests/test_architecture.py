@@ -34,6 +34,7 @@ ROOMS = (
     ("judge",),
     ("report",),
     ("replay", "teststand"),
+    ("in_memory",),
     ("close_loop",),
 )
 """Of ``sim2real``: flights come in on the left, pages go out on the right; the loop is last, as joints are found on the test

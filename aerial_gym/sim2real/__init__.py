@@ -1,6 +1,7 @@
 """Flight logs against the simulator: residuals, the effect that explains them, and the corrected robot."""
 
-from aerial_gym.sim2real.close_loop import close_loop, judge_flights
+from aerial_gym.sim2real.close_loop import close_loop
+from aerial_gym.sim2real.in_memory import judge_flights
 from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping

@@ -1,7 +1,4 @@
-"""The closed loop: flights against the declared model, a named cause for what differs, a corrected robot file.
-
-``close_loop`` reads and judges; ``judge_flights`` does the same for flights in memory.
-"""
+"""The closed loop: flights against the declared model, a named cause for what differs, a corrected robot file."""
 
 import json
 from collections.abc import Sequence
@@ -9,22 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from aerial_gym.config import dump_yaml
-from aerial_gym.config.robot import RobotCfg
 from aerial_gym.env_manager.sim_builder import robot_by_name
-from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.errors import ConfigError
 from aerial_gym.interop import one_thread
-from aerial_gym.physics.effects import LearnedResidual
-from aerial_gym.physics.model import check_rotors
-from aerial_gym.sim2real.failures.finding import Failure, FailureFinder, until_failure
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
-from aerial_gym.sim2real.identify.stages import declare, refit, select
-from aerial_gym.sim2real.judge.analysis import Judged, judge
-from aerial_gym.sim2real.judge.failed import with_failures
+from aerial_gym.sim2real.in_memory import judge_flights
 from aerial_gym.sim2real.judge.verdict import Verdict
-from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.inputs import read_inputs
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
-from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.report.ranges import with_found_ranges
@@ -136,68 +125,3 @@ def close_loop(
             write_record(folder, config, inputs.digests)
     progress("done", 1.0)
     return verdict
-
-
-def load_train_and_test(
-    robot: RobotCfg,
-    train: Sequence[str | Path],
-    test: Sequence[str | Path],
-    mapping: str | Path | None,
-    bandwidth: float,
-    progress: Progress,
-) -> tuple[list[Flight], list[Flight]]:
-    """Return training and test flights; none may be refused."""
-    progress("reading flights", 0.0)
-    layout = None if mapping is None else find_mapping(mapping)
-    inputs = read_inputs(robot, train, test, mapping=layout, bandwidth=bandwidth)
-    if inputs.left_out:
-        raise DataError(inputs.left_out[0])
-    return inputs.train, inputs.test
-
-
-def judge_flights(
-    robot: RobotCfg,
-    train: Sequence[Flight],
-    test: Sequence[Flight],
-    *,
-    bandwidth: float = 10.0,
-    seed: int = 0,
-    criteria: Criteria | None = None,
-    tolerances: Tolerances | None = None,
-    effects: Sequence[str] | None = None,
-    failures: bool = False,
-    learn_residual: bool = False,
-    progress: Progress = silent,
-) -> Judged:
-    """Return what flights in memory say, stage by stage; arguments as for ``close_loop``.
-
-    With ``failures``, a flight in which something fails is compared up to there.
-
-    Raises:
-        DataError: If failures leave no flight to train or to test on.
-    """
-    if learn_residual:
-        check_rotors(LearnedResidual, robot.rotor_traits)
-    flights, tolerances = [*train, *test], tolerances or Tolerances()
-    finder = FailureFinder(robot, tolerances=tolerances)
-    told = [found for flight in flights if failures and (found := finder.first_in(flight)) is not None]
-    train, test = (_left_of(role, part, told) for role, part in (("train", train), ("test", test)))
-    declared = declare(robot, train, test, bandwidth=bandwidth, tolerances=tolerances)
-    selected = select(declared, criteria or Criteria(), progress, candidates=effects)
-    give_back_memory()
-    refitted = refit(selected, progress=progress)
-    give_back_memory()
-    judged = judge(refitted, seed=seed, learn_residual=learn_residual, progress=progress)
-    give_back_memory()
-    return with_failures(judged, told, len(flights))
-
-
-def _left_of(role: str, flights: Sequence[Flight], failures: Sequence[Failure]) -> list[Flight]:
-    """Return flights up to their failures; refuse to go on with none."""
-    left = until_failure(flights, failures)
-    if flights and not left:
-        told = next(failure.sentence for failure in failures if failure.flight in {flight.name for flight in flights})
-        raise DataError(
-            f"{told}; too little comes before it to {role} on, and no other flight is left: add one that does not fail"
-        )
-    return left

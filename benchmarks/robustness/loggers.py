@@ -164,8 +164,8 @@ def score(change: str, hidden: str, seed: int) -> dict[str, Any]:
     """Return what the loop makes of one case with its logs changed; what it raised stands under ``error``."""
     from aerial_gym.env_manager.sim_builder import robot_by_name
     from aerial_gym.interop import one_thread
-    from aerial_gym.sim2real.close_loop import judge_flights, load_train_and_test
-    from aerial_gym.sim2real.progress import silent
+    from aerial_gym.sim2real.in_memory import judge_flights
+    from aerial_gym.sim2real.logs.inputs import load_train_and_test
 
     effects, row = {} if hidden == "nothing" else {hidden: "moderate"}, {"change": change, "hidden": hidden}
     with tempfile.TemporaryDirectory() as folder, one_thread():
@@ -175,7 +175,7 @@ def score(change: str, hidden: str, seed: int) -> dict[str, Any]:
                 changed = CHANGES[change](pd.read_csv(path), np.random.default_rng([seed, 77]))
                 changed.to_csv(path, index=False, float_format="%.8g")
             robot = robot_by_name(files.robot)
-            flights = load_train_and_test(robot, files.train, files.test, None, BANDWIDTH_HZ, silent)
+            flights = load_train_and_test(robot, files.train, files.test, None, BANDWIDTH_HZ)
             verdict = judge_flights(robot, *flights, bandwidth=BANDWIDTH_HZ).verdict.as_mapping()
         except Exception as error:  # one bad case must not end the others; it is counted
             return {**row, "right": False, "verdict": f"{type(error).__name__}: {error}", "named": []}

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from aerial_gym.env_manager.sim_builder import robot_by_name
-from aerial_gym.sim2real.close_loop import judge_flights, load_train_and_test
+from aerial_gym.sim2real.in_memory import judge_flights
 from aerial_gym.sim2real.judge.verdict import Verdict
-from aerial_gym.sim2real.progress import silent
+from aerial_gym.sim2real.logs.inputs import load_train_and_test
 from benchmarks.undeclared import LOGGED, TRACKED, make_case
 from benchmarks.undeclared.nuisance import Nuisance
 
@@ -16,7 +16,7 @@ def judged(folder: Path, effects: dict[str, str], seed: int, errors: Nuisance) -
     """Return what the loop says of a short case; what is hidden is named and nothing else."""
     files = make_case(folder, effects=effects, seed=seed, nuisance=errors, num_test=2, duration_s=10.0, rate_hz=200)
     robot = robot_by_name(files.robot)
-    train, test = load_train_and_test(robot, files.train, files.test, None, 10.0, silent)
+    train, test = load_train_and_test(robot, files.train, files.test, None, 10.0)
     verdict = judge_flights(robot, train, test, bandwidth=10.0).verdict
     assert [effect.name for effect in verdict.effects] == list(effects)
     assert verdict.verdict == ("explained" if effects else "none")

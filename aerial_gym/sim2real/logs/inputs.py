@@ -8,7 +8,7 @@ from pathlib import Path
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.logs.flights import Flight, distinct_files, load_flights
-from aerial_gym.sim2real.logs.readers.mapping import LogMapping
+from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 
 LEFT_OUT = "left out: "
 """How a note on a flight that cannot be used begins."""
@@ -58,6 +58,21 @@ def read_inputs(
             raise DataError(f"{refused[0]}{others if len(refused) > 1 else ''}") from None
     notes = tuple(f"{LEFT_OUT}{error}" for error in refused)
     return Inputs(train=found[0], test=found[1], left_out=notes, digests=digests)
+
+
+def load_train_and_test(
+    robot: RobotCfg,
+    train: Sequence[str | Path],
+    test: Sequence[str | Path],
+    mapping: str | Path | None,
+    bandwidth: float,
+) -> tuple[list[Flight], list[Flight]]:
+    """Return training and test flights; none may be refused."""
+    layout = None if mapping is None else find_mapping(mapping)
+    inputs = read_inputs(robot, train, test, mapping=layout, bandwidth=bandwidth)
+    if inputs.left_out:
+        raise DataError(inputs.left_out[0])
+    return inputs.train, inputs.test
 
 
 def file_digests(paths: Sequence[str | Path]) -> dict[str, str]:

@@ -25,12 +25,11 @@ from aerial_gym.interop import one_thread
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real import close_loop, replay
-from aerial_gym.sim2real.close_loop import judge_flights, load_train_and_test
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
+from aerial_gym.sim2real.in_memory import judge_flights
 from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT
-from aerial_gym.sim2real.logs.inputs import LEFT_OUT
-from aerial_gym.sim2real.progress import silent
+from aerial_gym.sim2real.logs.inputs import LEFT_OUT, load_train_and_test
 from aerial_gym.sim2real.report.run_folder import whole_folder
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
@@ -390,7 +389,7 @@ def test_forces_at_an_unknown_airspeed_are_not_called_unexplained(tmp_path: Path
     for seed, path in enumerate(paths):
         table = flight(50 + seed, drag=DRAG, noise=1.0, seconds=4.0, rate=100.0)
         write(table.drop(columns=[f"{name}_{axis}" for name in "pv" for axis in "xyz"]), path)
-    flights = load_train_and_test(robot, paths[:1], paths[1:], None, 10.0, silent)
+    flights = load_train_and_test(robot, paths[:1], paths[1:], None, 10.0)
     with one_thread():
         verdict = judge_flights(robot, *flights).verdict
     assert verdict.verdict == "none"

@@ -12,8 +12,8 @@ from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import RobotCfg, RotorCfg
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real import close_loop, replay
-from aerial_gym.sim2real.close_loop import judge_flights, load_train_and_test
-from aerial_gym.sim2real.progress import silent
+from aerial_gym.sim2real.in_memory import judge_flights
+from aerial_gym.sim2real.logs.inputs import load_train_and_test
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 TAU = 0.04
@@ -110,6 +110,6 @@ def test_measured_speeds_of_rotors_in_force_mode_are_refused(tmp_path: Path) -> 
 
 def test_a_learned_residual_needs_rotor_speeds(tmp_path: Path) -> None:
     logs = [write(forced(60 + n), tmp_path / f"f{n}.csv") for n in range(2)]
-    train, test = load_train_and_test(FORCED, logs[:1], logs[1:], mapping=None, bandwidth=10.0, progress=silent)
+    train, test = load_train_and_test(FORCED, logs[:1], logs[1:], mapping=None, bandwidth=10.0)
     with pytest.raises(ConfigError, match="effect learned_residual: its law does not hold for rotors in force mode"):
         judge_flights(FORCED, train, test, learn_residual=True)

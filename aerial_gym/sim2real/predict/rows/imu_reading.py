@@ -1,16 +1,30 @@
-"""What inertial sensors with constant errors read of what is true.
+"""What inertial sensors read of what is true: their constant errors, and those with which a log may come, in every row.
 
-Letters: E rows.
+Letters: E rows, T rows kept.
 """
 
+from collections import OrderedDict
 from dataclasses import dataclass
 
+import numpy as np
+import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from aerial_gym.math.quaternion import quat_to_matrix
 from aerial_gym.math.rows import times
+from aerial_gym.physics import Accelerations
 from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.physics.effects.imu_errors import imu_errors
 from aerial_gym.physics.model import Model
+from aerial_gym.sim2real.predict.rows.dataset import Dataset
+from aerial_gym.sim2real.predict.rows.in_band import InBand, columns_of
+from aerial_gym.sim2real.predict.tolerances import Sensed
+
+Columns = list[NDArray[np.float64]]
+
+READINGS = 3
+"""Readings that are kept of what kinematics imply."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,3 +44,90 @@ def imu_of(model: Model) -> tuple[Reading, Reading]:
     numbers = imu_errors([(effect, params[:1]) for effect, params in model.effects[ImuEffect]]).view(2, 4, 3)
     accelerometer, gyro = (Reading(offset=part[0], turn=part[1:]) for part in numbers)
     return accelerometer, gyro
+
+
+class ImuReading:
+    """What the inertial sensors of some flights read in the band."""
+
+    def __init__(self, data: Dataset, in_band: InBand) -> None:
+        """Take the flights, and what they feel in the band."""
+        self.data, self._in_band = data, in_band
+        self._of_kinematics: OrderedDict[tuple[object, ...], dict[str, Columns]] = OrderedDict()
+
+    def clock(self, logged: Sensed) -> list[float]:
+        """Return how late rotor speeds, accelerometer, gyro, attitude and velocity are on the clock of the rotor speeds [s].
+
+        Of those that were logged, or of commands, which are late by nothing. Rows are predicted on it.
+        """
+        late = logged.delays.tolist()
+        clock = 0.0 if self.data.simulated else late[0]
+        return [one - clock for one in late]
+
+    def read(self, model: Model, found: Accelerations, logged: Sensed, seeming: Tensor | None) -> dict[str, Columns]:
+        """Return three columns (T,) by kind of channel.
+
+        Args:
+            model: The same in all rows.
+            found: What the vehicle feels.
+            logged: What a deviation within the tolerances does to what is logged.
+            seeming: What noise in step with the torque seems to add to it [rad/s²], (T, 3); None for nothing.
+        """
+        felt, force, torque = self.data.felt_force_kept, found.specific_force, found.ang_acc
+        _, acc, gyro, _, _ = self.clock(logged)
+        if logged.imu_place.any():
+            force = force + felt * self._in_band.felt_at(logged.imu_place, gyro).T
+        if model.effects[ImuEffect]:
+            of_force, of_rate = imu_of(model)
+            force, torque = torch.where(felt, of_force.of(force), force), times(torque, of_rate.turn)
+        if seeming is not None:
+            torque = torque + seeming
+        turn = quat_to_matrix(logged.turn) if logged.attitude.any() else None
+        if turn is not None:  # where there is no accelerometer, the force is derived in the axes of the logged attitude
+            force = torch.where(felt, force, times(force, turn))
+        *_, attitude, velocity = logged.delays.tolist()
+        if velocity != attitude:  # there it is that of the velocity, in those axes
+            force = torch.where(felt, force, force - (velocity - attitude) * self.data.kinematic_jerk)
+        implied = self._read_of_kinematics(model, logged, turn)
+        if logged.acc_scale.any():
+            # Of the force that is predicted: of what kinematics imply, their noise would look like a scale.
+            more = force * logged.acc_scale * felt
+            force = force + more
+            pairs = zip(implied["kinematic_force"], columns_of(more), strict=True)
+            implied = {**implied, "kinematic_force": [one + other for one, other in pairs]}
+        *_, attitude, _ = self.clock(logged)  # without an accelerometer the force is in the axes of the logged attitude
+        late = [acc if flight.accelerometer else attitude for flight in self.data.flights]
+        return {
+            "specific_force": self.data.later(columns_of(force + logged.acc_bias * felt), late),
+            # a constant error has no derivative
+            "angular_acceleration": self.data.later(columns_of(torque), [gyro] * len(late)),
+            **implied,
+        }
+
+    def _read_of_kinematics(self, model: Model, logged: Sensed, turn: Tensor | None) -> dict[str, Columns]:
+        """Return what the sensors read of what kinematics imply: the same for all models whose sensors err alike."""
+        errs, turns = model.effects[ImuEffect], () if turn is None else (turn.flatten(),)
+        own = (logged.acc_bias, logged.gyro_bias, logged.delays)
+        numbers = torch.cat((*own, *turns, *(params[0] for _, params in errs))).numpy().tobytes()
+        key = (numbers, *(effect.name for effect, _ in errs))
+        if key not in self._of_kinematics:
+            _, acc, gyro, attitude, velocity = logged.delays.tolist()
+            force, rate = self.data.kinematic_force, self.data.kinematic_rate
+            if velocity != attitude:
+                force = force + (velocity - attitude) * self.data.kinematic_jerk
+            if turn is not None:
+                force, rate = times(force, turn.T), times(rate, turn.T)
+            if errs:
+                of_force, of_rate = imu_of(model)
+                force, rate = of_force.of(force), of_rate.of(rate)
+            bias = logged.acc_bias * self.data.felt_force_kept
+            self._of_kinematics[key] = {
+                kind: self.data.later(columns_of(rows), [late] * len(self.data.times))
+                for kind, rows, late in (
+                    ("kinematic_force", force + bias, acc - attitude),
+                    ("kinematic_rate", rate + logged.gyro_bias, gyro - attitude),
+                )
+            }
+            while len(self._of_kinematics) > READINGS:
+                self._of_kinematics.popitem(last=False)
+        self._of_kinematics.move_to_end(key)
+        return self._of_kinematics[key]

@@ -38,6 +38,8 @@ class InBand:
         self._motion = self._slow(torch.cat((data.ang_acc, products), dim=1))
         """Angular acceleration and products of angular velocities as measured, (3 + 9, T)."""
 
+        self._late, self._late_motion = 0.0, self._motion
+
     def felt(
         self, model: Model, rotor_speed: Tensor, acting: Acting, *, about: Tensor | None = None, late: float = 0.0
     ) -> Accelerations:
@@ -88,8 +90,11 @@ class InBand:
         """Return the motion as a gyro that is late by some seconds has measured it, (12, T)."""
         if not late:
             return self._motion
-        seconds = [-late] * len(self._data.times)
-        return torch.from_numpy(np.stack(self._data.later(list(self._motion.numpy()), seconds)))
+        if late != self._late:
+            seconds = [-late] * len(self._data.times)
+            self._late_motion = torch.from_numpy(np.stack(self._data.later(list(self._motion.numpy()), seconds)))
+            self._late = late
+        return self._late_motion
 
     def _of(self, name: str, rows: Tensor, law: Callable[[Tensor], Tensor] = lambda rows: rows) -> Tensor:
         """Return a law of rows (E, ...) in the band, (..., T), of the same tensor as before or of another one."""

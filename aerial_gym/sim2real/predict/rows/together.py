@@ -18,11 +18,8 @@ from aerial_gym.math.quaternion import (
     quat_multiply,
     quat_rotate,
     quat_rotate_inverse,
-    quat_to_matrix,
 )
-from aerial_gym.math.rows import times
 from aerial_gym.physics import (
-    Accelerations,
     BodyState,
     accelerations,
     build_model,
@@ -61,8 +58,8 @@ from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rows.answered_noise import seeming_torque
 from aerial_gym.sim2real.predict.rows.batches import expand_model, with_known_wind
 from aerial_gym.sim2real.predict.rows.dataset import Dataset, later
-from aerial_gym.sim2real.predict.rows.imu_reading import imu_of
-from aerial_gym.sim2real.predict.rows.in_band import InBand, columns_of
+from aerial_gym.sim2real.predict.rows.imu_reading import ImuReading, imu_of
+from aerial_gym.sim2real.predict.rows.in_band import InBand
 from aerial_gym.sim2real.predict.tolerances import (
     Sensed,
     Tolerances,
@@ -80,7 +77,7 @@ CONDITIONS = 4
 """Conditions kept: those of the present model, of the body and at its hubs, and of one that differs from it."""
 
 REPLAYS = 3
-"""Rotor speeds that are kept in the band, and readings of what kinematics imply."""
+"""Rotor speeds that are kept in the band."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +119,7 @@ class Together:
         self._forces, self._memories = Answers[Condition](), Answers[Track]()
         self._in_band = InBand(data)
         self._nothing = torch.zeros(len(tolerances.names(self._declared.num_rotors)), dtype=torch.float64)
-        self._kinematics: OrderedDict[tuple[object, ...], dict[str, Columns]] = OrderedDict()
+        self._imu = ImuReading(data, self._in_band)
         self._replayed: list[tuple[list[Array | None], list[Columns]]] = []
         self._conditions: OrderedDict[tuple[object, ...], tuple[object, Condition]] = OrderedDict()
         self._hung: _Hanging | None = None
@@ -133,9 +130,6 @@ class Together:
         asked = self._asked(point)
         kinds = dict.fromkeys(channel.kind for channel in self.data.channels)
         rows = self._rows(asked) if kinds.keys() - {"rotor_speed"} else {}
-        for kind, delays in self._delays(asked.logged).items():
-            if kind in rows:
-                rows[kind] = self.data.later(rows[kind], delays)
         columns = [column for kind in kinds if kind in rows for column in rows[kind]]
         found = [[column[span] for column in columns] for span in self.data.kept_spans]
         if "rotor_speed" in kinds:
@@ -145,24 +139,6 @@ class Together:
             for own, turning, time in zip(found, self._slow_speeds(asked.speeds), self.data.times, strict=True):
                 own[place:place] = later(turning, time, late)
         return found
-
-    def _delays(self, logged: Sensed) -> dict[str, list[float]]:
-        """Return by how much sensors read later than rows are predicted in each flight [s], by kind of channel.
-
-        Rows are predicted on the clock of the rotor speeds. Where there is no accelerometer the force is in logged axes.
-        """
-        _, acc, gyro, attitude, _ = self._on_clock(logged)
-        force = [acc if flight.accelerometer else attitude for flight in self.data.flights]
-        return {"specific_force": force, "angular_acceleration": [gyro] * len(force)}
-
-    def _on_clock(self, logged: Sensed) -> list[float]:
-        """Return how late rotor speeds, accelerometer, gyro, attitude and velocity are on the clock of the rotor speeds [s].
-
-        Of those that were logged, or of commands, which are late by nothing.
-        """
-        late = logged.delays.tolist()
-        clock = 0.0 if self.data.simulated else late[0]
-        return [one - clock for one in late]
 
     def felt(self, point: ModelParams) -> list[Array]:
         """Return the inputs of a learned residual at the rows of each flight, in the band, (rows kept, 7) each."""
@@ -214,38 +190,10 @@ class Together:
                 ("load", self._pull(flown, asked, self._hanging(flown, condition, remembered, asked)))
             )
         about = None if hubs is None else hubs.vehicle.com[0]
-        late = self._on_clock(asked.logged)[2]
+        late = self._imu.clock(asked.logged)[2]
         felt = self._in_band.felt(model, condition.rotor_speed, acting, about=about, late=late)
-        return self._read(model, felt, asked.logged)
-
-    def _read(self, model: Model, found: Accelerations, logged: Sensed) -> dict[str, Columns]:
-        """Return what the inertial sensors read in the band, three columns (T,) by kind."""
-        felt, force, torque = self.data.felt_force_kept, found.specific_force, found.ang_acc
-        if logged.imu_place.any():
-            force = force + felt * self._in_band.felt_at(logged.imu_place, self._on_clock(logged)[2]).T
-        if model.effects[ImuEffect]:
-            of_force, of_rate = imu_of(model)
-            force, torque = torch.where(felt, of_force.of(force), force), times(torque, of_rate.turn)
-        if logged.answered_noise.any():
-            torque = torque + logged.answered_noise * self._seeming()
-        turn = quat_to_matrix(logged.turn) if logged.attitude.any() else None
-        if turn is not None:  # where there is no accelerometer, the force is derived in the axes of the logged attitude
-            force = torch.where(felt, force, times(force, turn))
-        *_, attitude, velocity = logged.delays.tolist()
-        if velocity != attitude:  # there it is that of the velocity, in those axes
-            force = torch.where(felt, force, force - (velocity - attitude) * self.data.kinematic_jerk)
-        implied = self._read_of_kinematics(model, logged, turn)
-        if logged.acc_scale.any():
-            # Of the force that is predicted: of what kinematics imply, their noise would look like a scale.
-            more = force * logged.acc_scale * felt
-            force = force + more
-            pairs = zip(implied["kinematic_force"], columns_of(more), strict=True)
-            implied = {**implied, "kinematic_force": [one + other for one, other in pairs]}
-        return {
-            "specific_force": columns_of(force + logged.acc_bias * felt),
-            "angular_acceleration": columns_of(torque),  # a constant error has no derivative
-            **implied,
-        }
+        noise = asked.logged.answered_noise
+        return self._imu.read(model, felt, asked.logged, noise * self._seeming() if noise.any() else None)
 
     def _seeming(self) -> Tensor:
         """Return one standard deviation of what noise in step with the torque seems to add to it [rad/s²], body, (T, 3)."""
@@ -257,35 +205,6 @@ class Together:
                 parts.append(share * (turning[span] - turning[span].mean(axis=0)))
             self._in_step = torch.from_numpy(np.concatenate(parts))
         return self._in_step
-
-    def _read_of_kinematics(self, model: Model, logged: Sensed, turn: Tensor | None) -> dict[str, Columns]:
-        """Return what the sensors read of what kinematics imply: the same for all models whose sensors err alike."""
-        errs, turns = model.effects[ImuEffect], () if turn is None else (turn.flatten(),)
-        own = (logged.acc_bias, logged.gyro_bias, logged.delays)
-        numbers = torch.cat((*own, *turns, *(params[0] for _, params in errs))).numpy().tobytes()
-        key = (numbers, *(effect.name for effect, _ in errs))
-        if key not in self._kinematics:
-            _, acc, gyro, attitude, velocity = logged.delays.tolist()
-            force, rate = self.data.kinematic_force, self.data.kinematic_rate
-            if velocity != attitude:
-                force = force + (velocity - attitude) * self.data.kinematic_jerk
-            if turn is not None:
-                force, rate = times(force, turn.T), times(rate, turn.T)
-            if errs:
-                of_force, of_rate = imu_of(model)
-                force, rate = of_force.of(force), of_rate.of(rate)
-            bias = logged.acc_bias * self.data.felt_force_kept
-            self._kinematics[key] = {
-                kind: self.data.later(columns_of(rows), [late] * len(self.data.times))
-                for kind, rows, late in (
-                    ("kinematic_force", force + bias, acc - attitude),
-                    ("kinematic_rate", rate + logged.gyro_bias, gyro - attitude),
-                )
-            }
-            while len(self._kinematics) > REPLAYS:
-                self._kinematics.popitem(last=False)
-        self._kinematics.move_to_end(key)
-        return self._kinematics[key]
 
     def _hanging(self, model: Model, condition: Condition, remembered: dict[str, Tensor], asked: _Asked) -> _Hanging:
         """Return what a load of any parameters hangs on, the same as before where nothing else of the model has changed."""
@@ -337,7 +256,7 @@ class Together:
         The logged one may be turned against it, and be late, as the velocity may.
         """
         found, logged = dict(self.data.state), asked.logged
-        *_, attitude, velocity = self._on_clock(logged)
+        *_, attitude, velocity = self._imu.clock(logged)
         if velocity:
             found["lin_vel"] = found["lin_vel"] + velocity * self.data.acceleration
         if attitude:
@@ -352,7 +271,7 @@ class Together:
         """Return what the effects of a model see in every row; ``at_origin``: those at hubs (``condition_at_origin``)."""
         motion = asked.logged.rotor_motion
         speeds = asked.speeds if self.data.speed is None else None
-        pose_late = motion.new_tensor(self._on_clock(asked.logged)[3:])
+        pose_late = motion.new_tensor(self._imu.clock(asked.logged)[3:])
         numbers = torch.cat((motion, asked.logged.attitude, pose_late)).numpy().tobytes()
         key = (at_origin, *_seen_by_condition(model, at_origin=at_origin), numbers)
         known = self._conditions.get(key)

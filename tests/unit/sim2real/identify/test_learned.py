@@ -11,17 +11,16 @@ from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import load_robot
 from aerial_gym.errors import ConfigError
 from aerial_gym.sim2real import close_loop
-from aerial_gym.sim2real.close_loop import load_train_and_test
 from aerial_gym.sim2real.identify.learned import OUTPUTS, Learned, _Trainer, judge_on_test, train_residual
 from aerial_gym.sim2real.identify.least_squares.moments import block_moments, weights_from
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, LeftOut
 from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.inputs import load_train_and_test
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import declared_params
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import roll_out
 from aerial_gym.sim2real.predict.tolerances import Tolerances
-from aerial_gym.sim2real.progress import silent
 from tests.physics.vehicles import random_network
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
@@ -57,7 +56,7 @@ def left_out_of(predictor: Predictor) -> LeftOut:
 
 def learn(folder: Path, cubic: float) -> tuple[Learned, list[Flight]]:
     train, test = flown(folder, cubic)
-    fit, held = load_train_and_test(ROBOT, train, [test], None, 10.0, silent)
+    fit, held = load_train_and_test(ROBOT, train, [test], None, 10.0)
     predictor, point = predictor_of(fit), declared_params(ROBOT)
     learned = train_residual(predictor, point, left_out_of(predictor))
     return judge_on_test(learned, predictor_of(held), point, None), held
@@ -96,7 +95,7 @@ def test_flights_far_from_the_training_data_get_nothing(cubic: tuple[Learned, li
 def test_training_repeats_itself_and_descends(tmp_path: Path) -> None:
     """Same rows and seed, same numbers; torque is J times acceleration; the gradient is that of central differences."""
     train, test = flown(tmp_path, CUBIC)
-    fit, _ = load_train_and_test(ROBOT, train, [test], None, 10.0, silent)
+    fit, _ = load_train_and_test(ROBOT, train, [test], None, 10.0)
     predictor = predictor_of(fit)
     trainer = _Trainer(predictor, declared_params(ROBOT), left_out_of(predictor), 0)
     first = trainer.train(0.01)
@@ -123,7 +122,7 @@ def test_noise_is_not_learned(tmp_path: Path) -> None:
 
 def test_flights_without_velocity_and_a_robot_that_has_one_are_refused(tmp_path: Path) -> None:
     train, test = flown(tmp_path, CUBIC)
-    fit, _ = load_train_and_test(ROBOT, train, [test], None, 10.0, silent)
+    fit, _ = load_train_and_test(ROBOT, train, [test], None, 10.0)
     predictor = predictor_of(fit)
     judge = left_out_of(predictor)
     again = declared_params(replace(ROBOT, learned_residual=random_network(4)))
@@ -156,7 +155,7 @@ def test_the_loop_adds_it_beside_the_verdict(tmp_path: Path) -> None:
     robot = load_robot(out / "robot.yaml")
     assert robot.learned_residual is not None
     assert "f0, f1, f2" in robot.learned_residual.source
-    held = load_train_and_test(ROBOT, train, [test], None, 10.0, silent)[1]
+    held = load_train_and_test(ROBOT, train, [test], None, 10.0)[1]
     residual = np.concatenate(predictor_of(held).residuals(declared_params(robot)))
     after = [verdict["after"]["specific_force"][axis]["rms"] for axis in "xyz"]
     np.testing.assert_allclose(np.sqrt(np.mean(residual[:, :3] ** 2, axis=0)), after, rtol=1e-9)

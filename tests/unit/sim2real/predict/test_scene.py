@@ -9,7 +9,7 @@ import torch
 
 from aerial_gym.errors import CapabilityError, DataError
 from aerial_gym.physics import BACKENDS, build_model, vehicle_from_config
-from aerial_gym.sim2real.close_loop import judge_flights
+from aerial_gym.sim2real.in_memory import judge_flights
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping

@@ -1,0 +1,65 @@
+"""The loop for flights in memory, stage by stage."""
+
+from collections.abc import Sequence
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import DataError
+from aerial_gym.physics.effects import LearnedResidual
+from aerial_gym.physics.model import check_rotors
+from aerial_gym.sim2real.failures.finding import Failure, FailureFinder, until_failure
+from aerial_gym.sim2real.identify.selection.scoring import Criteria
+from aerial_gym.sim2real.identify.stages import declare, refit, select
+from aerial_gym.sim2real.judge.analysis import Judged, judge
+from aerial_gym.sim2real.judge.failed import with_failures
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.memory import give_back_memory
+from aerial_gym.sim2real.predict.tolerances import Tolerances
+from aerial_gym.sim2real.progress import Progress, silent
+
+
+def judge_flights(
+    robot: RobotCfg,
+    train: Sequence[Flight],
+    test: Sequence[Flight],
+    *,
+    bandwidth: float = 10.0,
+    seed: int = 0,
+    criteria: Criteria | None = None,
+    tolerances: Tolerances | None = None,
+    effects: Sequence[str] | None = None,
+    failures: bool = False,
+    learn_residual: bool = False,
+    progress: Progress = silent,
+) -> Judged:
+    """Return what flights in memory say, stage by stage; arguments as for ``close_loop``.
+
+    With ``failures``, a flight in which something fails is compared up to there.
+
+    Raises:
+        DataError: If failures leave no flight to train or to test on.
+    """
+    if learn_residual:
+        check_rotors(LearnedResidual, robot.rotor_traits)
+    flights, tolerances = [*train, *test], tolerances or Tolerances()
+    finder = FailureFinder(robot, tolerances=tolerances)
+    told = [found for flight in flights if failures and (found := finder.first_in(flight)) is not None]
+    train, test = (_left_of(role, part, told) for role, part in (("train", train), ("test", test)))
+    declared = declare(robot, train, test, bandwidth=bandwidth, tolerances=tolerances)
+    selected = select(declared, criteria or Criteria(), progress, candidates=effects)
+    give_back_memory()
+    refitted = refit(selected, progress=progress)
+    give_back_memory()
+    judged = judge(refitted, seed=seed, learn_residual=learn_residual, progress=progress)
+    give_back_memory()
+    return with_failures(judged, told, len(flights))
+
+
+def _left_of(role: str, flights: Sequence[Flight], failures: Sequence[Failure]) -> list[Flight]:
+    """Return flights up to their failures; refuse to go on with none."""
+    left = until_failure(flights, failures)
+    if flights and not left:
+        told = next(failure.sentence for failure in failures if failure.flight in {flight.name for flight in flights})
+        raise DataError(
+            f"{told}; too little comes before it to {role} on, and no other flight is left: add one that does not fail"
+        )
+    return left
