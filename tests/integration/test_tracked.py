@@ -24,7 +24,7 @@ def judged(folder: Path, effects: dict[str, str], seed: int, errors: Nuisance) -
 
 
 @pytest.mark.usefixtures("coarser_plant", "no_pixels")
-@pytest.mark.parametrize("effects", [{}, {"rotor_drag": "moderate"}])
+@pytest.mark.parametrize("effects", [{}, pytest.param({"rotor_drag": "moderate"}, marks=pytest.mark.slow)])
 def test_neither_is_an_effect_of_the_vehicle(tmp_path: Path, effects: dict[str, str]) -> None:
     """The notes say in what flights differ.
 
@@ -36,7 +36,7 @@ def test_neither_is_an_effect_of_the_vehicle(tmp_path: Path, effects: dict[str, 
 
 
 @pytest.mark.usefixtures("coarser_plant", "no_pixels")
-@pytest.mark.parametrize("effects", [{}, {"com_offset": "moderate"}])
+@pytest.mark.parametrize("effects", [pytest.param({}, marks=pytest.mark.slow), {"com_offset": "moderate"}])
 def test_a_late_sensor_and_an_accelerometer_with_a_scale_and_a_place_are_not_either(
     tmp_path: Path, effects: dict[str, str]
 ) -> None:

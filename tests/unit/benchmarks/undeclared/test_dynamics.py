@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from benchmarks.undeclared import EFFECTS, make_case
+from benchmarks.undeclared import make_case
 from benchmarks.undeclared.__main__ import main
 from benchmarks.undeclared.cases import flights_of, plan_all
 from benchmarks.undeclared.dynamics import POS, RATE, ROTOR, VEL, Plant, rest_state, rotation
@@ -216,7 +216,16 @@ def _record(true: Vehicle, declared: Vehicle, *, num_train: int, num_test: int, 
 
 
 @pytest.mark.usefixtures("coarser_plant")
-@pytest.mark.parametrize("effect", ["none", *list(EFFECTS)[:6]])
+@pytest.mark.parametrize(
+    "effect",
+    [
+        *("none", "com_offset", "motor_time_constant"),
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("rotor_drag", "quadratic_drag", "thrust_coefficient", "constant_wind")
+        ),
+    ],
+)
 def test_flights_follow_their_reference_with_each_moderate_effect(effect: str) -> None:
     """The autopilot knows the declared vehicle only: rms error within 0.15 m, tilt within 60 degrees, rotors free."""
     params = resolve({} if effect == "none" else {effect: "moderate"}, declared=DECLARED, seed=5)

@@ -222,7 +222,7 @@ def test_parameters_of_the_vehicle_change_by_what_they_say() -> None:
     np.testing.assert_allclose(rates, (1000.0, -500.0, 1000.0, -500.0), rtol=1e-12)
 
 
-@pytest.mark.parametrize("delay", [0.0025, 0.008])
+@pytest.mark.parametrize("delay", [0.0025, pytest.param(0.008, marks=pytest.mark.slow)])
 def test_rotors_follow_the_command_of_that_long_ago(delay: float) -> None:
     """Exponential towards the command that was sent ``delay`` ago, also within a sample; Runge-Kutta to (h / tau)^4."""
     case = fly_case(
