@@ -191,7 +191,7 @@ def judge(predictor: Predictor, selection: Selection, found: Linear, windows: Wi
     one, left_out, effects = selection.final, selection.left_out, found.fit.effects
     point, own = replace(found.fit.point, deviation=None), found.fit.num_effect_params
     predicted = predictor.predict(point)
-    tolerance, offsets = tolerance_jacobian(predictor, point, predicted), selection.own_offsets
+    tolerance, offsets = tolerance_jacobian(predictor, found.fit.point), selection.own_offsets
     fit = replace(
         linearise(predictor, effects, point, tolerance, base=predicted, offsets=offsets)[0], frozen=one.fit.frozen
     )

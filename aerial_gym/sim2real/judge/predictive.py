@@ -59,7 +59,7 @@ def left_open(
     """
     fit = selection.final.fit
     predicted = test.predict(params)
-    tolerance = tolerance_jacobian(test, params, predicted)
+    tolerance = tolerance_jacobian(test, params)
     jacobian = np.concatenate(effect_jacobian(test, params, fit.effects, predicted, beside=tolerance))
     precision = prior_precision(fit)
     for place, owner in enumerate(fit.owners):

@@ -130,7 +130,7 @@ class Fitted:
 
 
 class Fitter:
-    """Fits sets about a present model, with the tolerances linear about it."""
+    """Fits sets about a present model, with the tolerances linear about it, and half way to its deviations."""
 
     def __init__(
         self, predictor: Predictor, declared: ModelParams, num_names: int, weights: Weighting, present: ModelParams
@@ -156,8 +156,7 @@ class Fitter:
     def tolerance(self) -> Derivatives:
         """Return the derivatives by the deviations about the present model, (rows, C, N) of each flight."""
         if self._tolerance is None:
-            base = self.predictor.predict(self._present)
-            self._tolerance = single(tolerance_jacobian(self.predictor, self._present, base))
+            self._tolerance = single(tolerance_jacobian(self.predictor, self._present))
         return self._tolerance
 
     def beside(self, structures: Sequence[Nuisance], more: Sequence[Array] | None = None) -> Beside:

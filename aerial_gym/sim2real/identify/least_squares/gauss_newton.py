@@ -192,11 +192,17 @@ def effect_jacobian(
     return found
 
 
-def tolerance_jacobian(predictor: Predictor, point: ModelParams, base: list[Array]) -> list[Array]:
-    """Return the derivative of the prediction by the deviations, each (rows, C, N)."""
+def tolerance_jacobian(predictor: Predictor, point: ModelParams) -> list[Array]:
+    """Return the derivative of the prediction by the deviations, each (rows, C, N).
+
+    Half way to those of the point: times them it is what they change together, but for terms of third order. Deviations act on
+    each other: a sensor that is late is elsewhere than the motion says.
+    """
+    half = np.zeros(predictor.num_tolerances) if point.deviation is None else 0.5 * point.deviation
+    base = predictor.predict(replace(point, deviation=half if half.any() else None))
     found = [column_by_column(b, predictor.num_tolerances) for b in base]
     for k in range(predictor.num_tolerances):
-        deviation = STEP * np.eye(predictor.num_tolerances)[k]
+        deviation = half + STEP * np.eye(predictor.num_tolerances)[k]
         moved = predictor.predict(replace(point, deviation=deviation))
         for column, m, b in zip(found, moved, base, strict=True):
             column[:, :, k] = (m - b) / STEP
@@ -206,7 +212,7 @@ def tolerance_jacobian(predictor: Predictor, point: ModelParams, base: list[Arra
 def tolerated(predictor: Predictor, point: ModelParams) -> Array:
     """Return the residual (rms) that the tolerances of the vehicle, and not those of its log, cause in each channel, (C,)."""
     vehicle = np.logical_not(of_logs(predictor.robot.num_rotors))
-    parts = [part[:, :, vehicle] for part in tolerance_jacobian(predictor, point, predictor.predict(point))]
+    parts = [part[:, :, vehicle] for part in tolerance_jacobian(predictor, point)]
     return np.sqrt(np.concatenate([(part**2).sum(axis=2) for part in parts]).mean(axis=0))
 
 

@@ -5,7 +5,7 @@ fitted as it is, not linearised, and its evidence taken there. The best becomes 
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -187,14 +187,14 @@ class Climber:
                 if not left or np.all(np.abs(change) < SETTLED):
                     break
                 view.let_go()
-                view = self.start_from(view.present.params, view.present.effects, view.present.structures, weights)
+                view = self.start_from(view.present.within, view.present.effects, view.present.structures, weights)
         view.let_go()
         return view
 
     def start(self) -> View:
         """Return all candidates about the declared model, under the weights that it leaves."""
         tangents = tangents_about(self.predictor, self.declared, self.declared, skipped=self.skipped)
-        tolerance = tolerance_jacobian(self.predictor, self.declared, self.predictor.predict(self.declared))
+        tolerance = tolerance_jacobian(self.predictor, self.declared)
         self._weighed = self.declared, self.weigh(self.declared, tangents, single(tolerance))
         return self.start_from(self.declared, (), (), self._weighed[1], tangents)
 
@@ -231,9 +231,9 @@ class Climber:
         weights: Weighting,
         tangents: list[Tangent] | None = None,
     ) -> View:
-        """Return all candidates about a set, or about what holds of it under these weights."""
-        fitter = self.fitter_about(params, weights)
-        present, nothing = fitter.fit(effects, structures, params), fitter.fit((), (), self.declared)
+        """Return all candidates about a set, with the deviations that it has, or about what holds of it under these weights."""
+        fitter, start = self.fitter_about(params, weights), replace(params, deviation=None)
+        present, nothing = fitter.fit(effects, structures, start), fitter.fit((), (), self.declared)
         while not present.holds:
             present = fitter.without_weakest(present)
         return self.look_around(present, {present.label: fitter}, {nothing.label: nothing}, tangents)
@@ -263,7 +263,7 @@ class Climber:
     def leader(self, view: View) -> Fitted:
         """Return the best fitted set, each that comes first fitted once more with the tolerances linear about itself."""
         while (best := view.best).label not in view.own:
-            fitter = self.fitter_about(best.params, view.fitter.weights)
+            fitter = self.fitter_about(best.within, view.fitter.weights)
             view.settle(fitter.again(best, view.fitter), fitter)
             forget_but(view.own, view.present.label, best.label)
         return best

@@ -170,8 +170,7 @@ class _Scorer:
 
     def __init__(self, predictor: Predictor, declared: ModelParams, criteria: Criteria, chosen: Chosen) -> None:
         self.predictor, self.declared, self.chosen, self.weights = predictor, declared, chosen, chosen.weights
-        start = chosen.named.params
-        self.tolerance = tolerance_jacobian(predictor, start, predictor.predict(start))
+        self.tolerance = tolerance_jacobian(predictor, chosen.named.within)
         weight = self.weights.weight
         self.offsets = offsets_of(chosen.best.structures, predictor.channels, weight)
         parts = [[part] for part in self.tolerance]

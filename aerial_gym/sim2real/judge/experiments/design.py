@@ -88,7 +88,7 @@ class Catalogue:
         )
         self.weight = selection.weights.weight
         final = selection.final.fit.point
-        self._tolerance = tolerance_jacobian(self.predictor, final, self.predictor.predict(final))
+        self._tolerance = tolerance_jacobian(self.predictor, final)
         self._spans = np.array([SPAN_S / float(time[-1] - time[0]) for time in self.predictor.times])
 
     def tell(self, one: tuple[ModelParams, Sequence[str]], other: tuple[ModelParams, Sequence[str]]) -> Array:

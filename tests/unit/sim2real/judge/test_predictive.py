@@ -96,7 +96,7 @@ def judged(
         for part in (flights[:3], flights[3:])
     )
     declared = declared_params(robot)
-    tolerance = tolerance_jacobian(train, declared, train.predict(declared))
+    tolerance = tolerance_jacobian(train, declared)
     weights = weights_from(train.residuals(declared))
     fit, _, _ = linearise(train, (), declared, tolerance)
     squares = np.concatenate([(part**2).sum(axis=2) for part in tolerance]).mean(axis=0)
@@ -138,9 +138,7 @@ def test_a_parameter_is_no_surer_on_test_flights_than_its_interval(tmp_path) -> 
     channels = find_channels([flown])
     predictor = Predictor(ROBOT, [flown], bandwidth=10.0, channels=channels, tolerances=Tolerances(acc_bias=1e-6))
     point = ModelParams(effects={"rotor_drag": np.full(3, 0.2)})
-    fit, _, _ = linearise(
-        predictor, ("rotor_drag",), point, tolerance_jacobian(predictor, point, predictor.predict(point))
-    )
+    fit, _, _ = linearise(predictor, ("rotor_drag",), point, tolerance_jacobian(predictor, point))
     weights = weights_from(predictor.residuals(point))
 
     def limit(std: float) -> np.ndarray:

@@ -218,7 +218,7 @@ def test_a_replay_finds_delay_and_gain_under_noise_of_the_voltage(tmp_path: Path
     channels = [Channel(kind="rotor_speed", axis=str(number)) for number in (1, 2, 3, 4)]
     predictor = Predictor(POWERED, flights, bandwidth=10.0, channels=channels, tolerances=Tolerances())
     start = ModelParams(effects={"actuation_delay": np.zeros(1), "battery_sag": np.zeros(1)})
-    tolerance = tolerance_jacobian(predictor, start, predictor.predict(start))
+    tolerance = tolerance_jacobian(predictor, start)
     beside = Beside(predictor.times, [[part] for part in tolerance], np.ones(4))
     fit, _, _ = fit_effects(predictor, ("actuation_delay", "battery_sag"), start, beside)
     assert fit.point.effects["actuation_delay"][0] == pytest.approx(0.0087, abs=2e-4)
