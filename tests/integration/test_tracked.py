@@ -42,3 +42,11 @@ def test_a_late_sensor_and_an_accelerometer_with_a_scale_and_a_place_are_not_eit
 ) -> None:
     """The same of logs whose sensors are up to 6 ms late; rules that did not know it gave this seed four names and more."""
     judged(tmp_path, effects, 3810, LOGGED)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("coarser_plant", "no_pixels")
+@pytest.mark.parametrize("effect", ["rotor_inertia", "torque_ratio"])
+def test_an_early_gyro_beside_a_far_accelerometer_is_no_soft_joint(tmp_path: Path, effect: str) -> None:
+    """Deviations of 5 ms and 1 cm that act on each other; linear ones named a soft joint beside what is hidden here."""
+    judged(tmp_path, {effect: "moderate"}, 3816, LOGGED)

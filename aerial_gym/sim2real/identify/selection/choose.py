@@ -46,6 +46,10 @@ STEADY = 0.2
 """Share of its mean by which an effect's size may follow a structure (rms) and still be called that effect."""
 
 
+BLIND = "these flights leave every parameter of it unknown by more than its scale"
+"""Why an effect is not named that may be there."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Chosen:
     """The most probable set of effects."""
@@ -86,6 +90,16 @@ class Chosen:
     def effects(self) -> tuple[str, ...]:
         """Return the named effects."""
         return self.named.effects
+
+    def without_blind(self, name: str) -> "Chosen":
+        """Return the choice without a named effect of which the flights show no parameter."""
+        return replace(
+            self,
+            named=self.without[name],
+            without={other: less for other, less in self.without.items() if other != name},
+            refused=self.refused | {name: BLIND},
+            in_part=tuple(rival for rival in self.in_part if rival.effect != name),
+        )
 
     @property
     def holding(self) -> list[Fitted]:
@@ -162,7 +176,7 @@ class _Chooser:
             else "told from nothing only beside what is not"
             for name, odds in unsure.items()
         }
-        refused |= dict.fromkeys(blind, "these flights leave every parameter of it unknown by more than its scale")
+        refused |= dict.fromkeys(blind, BLIND)
         away = (*named.effects, *surrogates, *immaterial)
         shown = {candidate.name for candidate in seen_candidates(view.library)}
         return Chosen(

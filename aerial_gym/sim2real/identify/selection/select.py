@@ -199,6 +199,12 @@ class _Scorer:
         unseen = unidentified_parameters(scored)
         if not unseen:
             return scored, self.chosen
+        shown = {scored.fit.owners[k] for k in scored.fit.free_effects} - unseen
+        if blind := set(self.chosen.effects).difference(
+            name for name, _ in shown
+        ):  # fitted to the end, not even one is
+            self.chosen = self.chosen.without_blind(min(blind))
+            return self.final()
         scored = self.score(self.chosen.effects, self.at_neutral(self.chosen.named.params, unseen), frozenset(unseen))
         without = {
             name: replace(less, params=self.at_neutral(less.params, unseen))
