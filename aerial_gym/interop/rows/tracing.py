@@ -192,9 +192,8 @@ class _Watch(TorchDispatchMode):
     def __init__(self, into: Trace) -> None:
         super().__init__()
         self.into = into
-        self._scalars: dict[
-            int, tuple[Tensor, _Scalars | None]
-        ] = {}  # by id of a tensor that is kept; None: a constant
+        # By id of a tensor that is kept; None: a constant, whose numbers may still change.
+        self._scalars: dict[int, tuple[Tensor, _Scalars | None]] = {}
         self._literals: dict[tuple[str, torch.dtype | None], tuple[_Scalars, torch.dtype]] = {}
         self._large: dict[int, tuple[Tensor, str]] = {}
 

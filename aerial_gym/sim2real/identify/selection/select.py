@@ -200,9 +200,8 @@ class _Scorer:
         if not unseen:
             return scored, self.chosen
         shown = {scored.fit.owners[k] for k in scored.fit.free_effects} - unseen
-        if blind := set(self.chosen.effects).difference(
-            name for name, _ in shown
-        ):  # fitted to the end, not even one is
+        blind = set(self.chosen.effects).difference(name for name, _ in shown)
+        if blind:  # of these not even one parameter is shown once they are fitted to the end
             self.chosen = self.chosen.without_blind(min(blind))
             return self.final()
         scored = self.score(self.chosen.effects, self.at_neutral(self.chosen.named.params, unseen), frozenset(unseen))
