@@ -22,6 +22,7 @@ from aerial_gym.sim2real.identify.candidates.library import Library
 from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal, log_evidences, posterior
 from aerial_gym.sim2real.identify.evidence.linear import LinearFit, candidates_of, normal_of
 from aerial_gym.sim2real.identify.evidence.search import Sets
+from aerial_gym.sim2real.identify.least_squares.covariance import shown
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import WEAK_PRIOR
 
 Array = NDArray[np.float64]
@@ -116,7 +117,7 @@ def supports(
     precision[:count] = 2.0 / (1.0 + step[:count] ** 2)  # of the Cauchy prior there
     covariance = np.linalg.inv(whole.product[np.ix_(columns, columns)] + np.diag(precision))
     weak = np.concatenate((np.full(count, WEAK_PRIOR**-2), np.ones(columns.size - count)))
-    plain = np.linalg.inv(whole.product[np.ix_(columns, columns)] + np.diag(weak))
+    told = shown(np.linalg.inv(whole.product[np.ix_(columns, columns)] + np.diag(weak)))
     scores = np.stack([part.gradient[columns] - part.product[np.ix_(columns, columns)] @ step for part in parts])
     robust = covariance @ (scatter(scores) + np.diag(precision)) @ covariance
     found = {}
@@ -128,7 +129,7 @@ def supports(
             wald=float(step[own] @ np.linalg.solve(covariance[block], step[own])),
             overdispersion=float(np.trace(np.linalg.solve(covariance[block], robust[block]))) / own.size,
             size=own.size,
-            shown=bool((np.diag(plain)[own] <= 1.0).any()),
+            shown=bool(told[own].any()),
         )
     return found
 

@@ -68,6 +68,14 @@ class Uncertainty:
         return np.clip(together / np.outer(deviation, deviation), -1.0, 1.0)
 
 
+def shown(covariance: Array) -> NDArray[np.bool_]:
+    """Return which parameters (P,) flights tell better than by their scale, the unit of their covariance (P, P).
+
+    With weak priors, so that flights and tolerances alone tell; whatever the parameters may be.
+    """
+    return np.diag(covariance) <= 1.0
+
+
 def uncertainty(fit: Fit, weight: Array) -> Uncertainty:
     """Return the spread of the fitted effects, with deviations within the tolerances fitted beside them.
 

@@ -91,12 +91,24 @@ class Chosen:
         """Return the named effects."""
         return self.named.effects
 
-    def without_blind(self, name: str) -> "Chosen":
-        """Return the choice without a named effect of which the flights show no parameter."""
+    def without_blind(self, name: str, neutral: Array) -> "Chosen":
+        """Return the choice without a named effect of which the flights show no parameter.
+
+        Nor do the sets without each of the others hold it, which are not fitted again: what it did there flights do not show.
+        """
+        less = {
+            other: replace(
+                one,
+                effects=tuple(effect for effect in one.effects if effect != name),
+                params=one.params.with_effect(name, neutral),
+            )
+            for other, one in self.without.items()
+            if other != name
+        }
         return replace(
             self,
             named=self.without[name],
-            without={other: less for other, less in self.without.items() if other != name},
+            without=less,
             refused=self.refused | {name: BLIND},
             in_part=tuple(rival for rival in self.in_part if rival.effect != name),
         )

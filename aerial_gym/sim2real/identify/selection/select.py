@@ -3,15 +3,13 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.library import neutral_of
 from aerial_gym.sim2real.identify.candidates.nuisance import offsets_of
 from aerial_gym.sim2real.identify.candidates.testable import lacks
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted
-from aerial_gym.sim2real.identify.least_squares.covariance import uncertainty
+from aerial_gym.sim2real.identify.least_squares.covariance import shown, uncertainty
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     Fit,
     Frozen,
@@ -199,10 +197,12 @@ class _Scorer:
         unseen = unidentified_parameters(scored)
         if not unseen:
             return scored, self.chosen
-        shown = {scored.fit.owners[k] for k in scored.fit.free_effects} - unseen
-        blind = set(self.chosen.effects).difference(name for name, _ in shown)
+        seen = {scored.fit.owners[k] for k in scored.fit.free_effects} - unseen
+        blind = set(self.chosen.effects).difference(name for name, _ in seen)
         if blind:  # of these not even one parameter is shown once they are fitted to the end
-            self.chosen = self.chosen.without_blind(min(blind))
+            name = min(blind)
+            neutral = neutral_of(name, self.declared, self.predictor.robot)
+            self.chosen = self.chosen.without_blind(name, neutral)
             return self.final()
         scored = self.score(self.chosen.effects, self.at_neutral(self.chosen.named.params, unseen), frozenset(unseen))
         without = {
@@ -224,4 +224,4 @@ class _Scorer:
 def unidentified_parameters(scored: Scored) -> set[tuple[str, int]]:
     """Return the fitted parameters, effect and place, that the flights leave unknown by more than their scale."""
     owners = scored.fit.owners
-    return {owners[k] for k in scored.fit.free_effects[np.diag(scored.spread.plain) > 1.0]}
+    return {owners[k] for k in scored.fit.free_effects[~shown(scored.spread.plain)]}

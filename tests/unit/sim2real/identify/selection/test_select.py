@@ -1,6 +1,6 @@
 """Which names hold on exact flights with a known cause, which only stand in for something, and which cannot be told apart."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,6 +14,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen
+from aerial_gym.sim2real.identify.selection.choose import BLIND
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, Scored
 from aerial_gym.sim2real.identify.selection.select import Selection, _Scorer, select_effects
 from aerial_gym.sim2real.judge.verdict import tied_rivals
@@ -166,16 +167,17 @@ def test_an_effect_that_flights_cannot_show_is_told_when_it_is_asked_for(tmp_pat
 class Given(_Scorer):
     """Parameters known to a given variance, in units of their scale, with what was asked for."""
 
-    def __init__(self, named: Fitted, variance: Sequence[float]) -> None:
+    def __init__(self, named: Fitted, variance: Mapping[str, Sequence[float]]) -> None:
         self.chosen, self.declared = chosen_of(named), ModelParams()
         self.predictor = SimpleNamespace(robot=ROBOT)  # type: ignore[assignment]
-        self.variance = np.diag(variance)
+        self.variance = variance
 
     def score(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen = frozenset()) -> Scored:
         """Return a fit with parameters of all effects, one after the other."""
         owners = [(name, k) for name in effects for k in range(start.effects[name].size)]
         fit = SimpleNamespace(owners=owners, free_effects=np.arange(len(owners)), point=start, frozen=frozen)
-        return cast("Scored", SimpleNamespace(fit=fit, spread=SimpleNamespace(plain=self.variance)))
+        variance = np.diag([value for name in effects for value in self.variance[name]])
+        return cast("Scored", SimpleNamespace(fit=fit, spread=SimpleNamespace(plain=variance)))
 
 
 def test_parameters_that_flights_do_not_show_stay_neutral() -> None:
@@ -186,7 +188,7 @@ def test_parameters_that_flights_do_not_show_stay_neutral() -> None:
     named = fitted(
         "rotor_drag", "com_offset", params={"rotor_drag": [0.2, 0.3, 0.4], "com_offset": [0.004, 0.005, 0.006]}
     )
-    given = Given(named, [0.1, 0.9, 1.1, 0.2, 7.0, 0.2])
+    given = Given(named, {"rotor_drag": [0.1, 0.9, 1.1], "com_offset": [0.2, 7.0, 0.2]})
     drag, offset = (fitted(name, params={name: [9.0, 8.0, 7.0]}) for name in named.effects)
     given.chosen = replace(given.chosen, without={"com_offset": drag, "rotor_drag": offset})
     scored, chosen = given.final()
@@ -198,7 +200,21 @@ def test_parameters_that_flights_do_not_show_stay_neutral() -> None:
     }
     assert chosen.without["com_offset"].params.effects["rotor_drag"].tolist() == [9.0, 8.0, 0.0]
     assert chosen.without["rotor_drag"].params.effects["com_offset"].tolist() == [9.0, 0.0, 7.0]
-    given = Given(named, [0.9] * 6)
+    given = Given(named, dict.fromkeys(named.effects, [0.9] * 3))
     shown, same = given.final()
     assert (shown.fit.frozen, shown.fit.point) == (frozenset(), named.params)
     assert same is given.chosen
+
+
+def test_an_effect_of_which_the_last_fit_shows_no_parameter_has_no_name() -> None:
+    """All of the offset is unknown by more than its scale: the drag is left, without which nothing is."""
+    named = fitted("com_offset", "rotor_drag")
+    given = Given(named, {"com_offset": [1.1, 7.0, 1.2], "rotor_drag": [0.1, 0.9, 0.2]})
+    drag, offset = (fitted(name, params={name: [9.0, 8.0, 7.0]}) for name in ("rotor_drag", "com_offset"))
+    given.chosen = replace(given.chosen, without={"com_offset": drag, "rotor_drag": offset})
+    scored, chosen = given.final()
+    assert scored.fit.point is drag.params
+    assert chosen.effects == ("rotor_drag",)
+    assert chosen.refused == {"com_offset": BLIND}
+    assert chosen.without["rotor_drag"].effects == ()
+    assert chosen.without["rotor_drag"].params.effects["com_offset"].tolist() == [0.0, 0.0, 0.0]
