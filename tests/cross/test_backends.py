@@ -25,6 +25,7 @@ from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
 from tests.physics.vehicles import CEILING, lopsided_robot, random_state
+from tests.repetitions import thinned
 
 FACTOR = 4.0
 ROUND_OFF = 2e-6
@@ -177,7 +178,7 @@ def test_every_controller_and_stepper_flies_like_torch(
     assert_same_flight(ROBOTS.get(robot), CONTROLLERS.get(controller), integrator)
 
 
-@pytest.mark.parametrize("robot", ROBOTS.names())
+@pytest.mark.parametrize("robot", thinned(ROBOTS.names(), 3))
 def test_every_robot_flies_like_torch(robot: str) -> None:
     assert_same_flight(ROBOTS.get(robot), CONTROLLERS.get("no_control"), "euler")
 
@@ -253,11 +254,23 @@ def test_a_flight_that_amplifies_round_off_is_the_same_step_by_step(
     assert_same_flight(robot, controller, "euler", steps_alone=True)
 
 
-@pytest.mark.parametrize("effect", EFFECTS.names())
-def test_every_effect_flies_like_torch(effect: str) -> None:
-    effects = (effect,) if effect not in ("constant_wind", "wind_shear", "gusts") else (effect, "rotor_drag")
-    robot, steps = lopsided_robot(), LONG if effect == "joint_creep" else STEPS
-    assert_same_flight(robot, CONTROLLERS.get("rotor_speed_control"), "rk4", effects=effects, steps=steps)
+GROUPS = 6
+"""Of effects that fly at once, each beside its neighbours of the sixth next letters; alone they do with ``make test-slow``."""
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        *(EFFECTS.names()[first::GROUPS] for first in range(GROUPS)),
+        *(pytest.param((effect,), marks=pytest.mark.slow) for effect in EFFECTS.names()),
+    ],
+    ids="+".join,
+)
+def test_every_effect_flies_like_torch(effects: tuple[str, ...]) -> None:
+    """With drag, which shows wind."""
+    robot, steps = lopsided_robot(), LONG if "joint_creep" in effects else STEPS
+    together = tuple(dict.fromkeys((*effects, "rotor_drag")))
+    assert_same_flight(robot, CONTROLLERS.get("rotor_speed_control"), "rk4", effects=together, steps=steps)
 
 
 @pytest.mark.usefixtures("optimised")

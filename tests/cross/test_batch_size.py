@@ -73,7 +73,7 @@ def test_under_every_controller(controller: str) -> None:
     assert_rows_alike(ROBOTS.get("base_octarotor") if pose else lopsided_robot(), controller, torch.float32)
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("dtype", [torch.float32, pytest.param(torch.float64, marks=pytest.mark.slow)])
 def test_with_all_effects_at_once_on_any_number_of_threads(threads: int, dtype: torch.dtype) -> None:
     assert_rows_alike(lopsided_robot(), "lee_velocity_control", dtype, effects=EFFECTS.names(), first=8001, many=8192)
 

@@ -24,6 +24,7 @@ from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
 from tests.physics.vehicles import CEILING, random_state
+from tests.repetitions import often
 
 FACTOR, ROUND_OFF = 4.0, 4e-6
 
@@ -160,13 +161,11 @@ AS_USERS_HAVE_IT = "everything, late"
 """The one whose kernel is optimised."""
 
 
-LIKE_OTHERS = ("morphy on a stand", "snake of five, position", "snake of six, effort", "law with memory")
-"""Their parts are those of the other cases."""
+OFTEN = ("everything, late", "morphy", "snake")
+"""The parts of the other cases are theirs, but for some effects."""
 
 
-@pytest.mark.parametrize(
-    "case", [pytest.param(case, marks=pytest.mark.slow if case in LIKE_OTHERS else ()) for case in CASES]
-)
+@pytest.mark.parametrize("case", often(CASES, OFTEN))
 def test_the_fused_step_is_that_of_the_reference(case: str, request: pytest.FixtureRequest) -> None:
     if case == AS_USERS_HAVE_IT:
         request.getfixturevalue("optimised")

@@ -13,6 +13,7 @@ from aerial_gym.cli.main import main
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS, BodyState, state_at_rest
+from tests.repetitions import thinned
 
 QUICK = ("--device", "cpu", "--repeats", "2", "--repeat-time-s", "0.02", "--threads", "1")
 CPU = torch.device("cpu")
@@ -121,7 +122,7 @@ def test_wrong_requests_end_with_status_2_and_one_sentence(
     assert "Traceback" not in err
 
 
-@pytest.mark.parametrize("controller", [n for n in CONTROLLERS.names() if CONTROLLERS.get(n).law != "pose"])
+@pytest.mark.parametrize("controller", thinned((n for n in CONTROLLERS.names() if CONTROLLERS.get(n).law != "pose"), 3))
 def test_every_controller_keeps_flying_for_a_stretch(controller: str) -> None:
     """After 20 s with its hover action the batch still passes the checks; without effects, by kernels that others fly too."""
     flight = small_flight(controller=controller, effects=(), num_envs=2)

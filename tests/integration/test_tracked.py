@@ -27,8 +27,9 @@ def judged(
     return verdict
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("coarser_plant", "no_pixels")
-@pytest.mark.parametrize("effects", [{}, pytest.param({"rotor_drag": "moderate"}, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("effects", [{}, {"rotor_drag": "moderate"}])
 def test_neither_is_an_effect_of_the_vehicle(tmp_path: Path, effects: dict[str, str]) -> None:
     """The notes say in what flights differ.
 
@@ -39,8 +40,9 @@ def test_neither_is_an_effect_of_the_vehicle(tmp_path: Path, effects: dict[str, 
     assert any("offset of its own" in note and "specific_force" in note for note in verdict.notes)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("coarser_plant", "no_pixels")
-@pytest.mark.parametrize("effects", [pytest.param({}, marks=pytest.mark.slow), {"com_offset": "moderate"}])
+@pytest.mark.parametrize("effects", [{}, {"com_offset": "moderate"}])
 def test_a_late_sensor_and_an_accelerometer_with_a_scale_and_a_place_are_not_either(
     tmp_path: Path, effects: dict[str, str]
 ) -> None:

@@ -63,7 +63,7 @@ def nearest_pair(shape, obstacle: ShapeCfg, pose: np.ndarray) -> tuple[float, fl
     return apart, apart - radius - other_radius
 
 
-@pytest.mark.parametrize("shape", [PLATE, ROD])
+@pytest.mark.parametrize("shape", [PLATE, pytest.param(ROD, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "obstacle",
     [

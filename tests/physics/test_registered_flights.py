@@ -15,6 +15,7 @@ from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS
 from aerial_gym.robots import ROBOTS
 from benchmarks.control_table import Flight, different_robots, figures, fly, geometric_controllers, unfit
+from tests.repetitions import thinned
 
 ALLOWED = dict.fromkeys(("position", "pose"), 0.2)
 ALLOWED |= dict.fromkeys(("velocity", "steering", "acceleration", "attitude", "rates"), 0.02)
@@ -61,7 +62,7 @@ FAST = [name for name, cfg in geometric_controllers().items() if cfg.inner is No
 
 
 def shared_out() -> list[tuple[str, str]]:
-    """Return every robot with the position controller and with every tenth of the others, each with every tenth robot.
+    """Return every third robot with the position controller, and every twentieth flight with the others.
 
     ``test_nor_with_any_other_controller_at_any_sim`` flies all of them.
     """
@@ -69,7 +70,7 @@ def shared_out() -> list[tuple[str, str]]:
         (robot, controller)
         for i, robot in enumerate(different_robots())
         for j, controller in enumerate(FAST)
-        if controller in ("lee_position_control", "fully_actuated_control") or (i + j) % 10 == 0
+        if (i % 3 == 0 and controller == "lee_position_control") or (i + j) % 20 == 0
     ]
 
 
@@ -92,7 +93,7 @@ def test_what_does_not_fit_is_refused_for_a_reason() -> None:
 
 
 @pytest.mark.parametrize("name", ["lmf2", "magpie", "octarotor"])
-@pytest.mark.parametrize("law", ["position", "velocity", "acceleration", "attitude", "rates"])
+@pytest.mark.parametrize("law", thinned(["position", "velocity", "acceleration", "attitude", "rates"], 4))
 def test_published_gains_hold_their_robot(name: str, law: str) -> None:
     """Under the names of the Aerial Gym Simulator, which are a law and a robot's gains."""
     robot, controller = ROBOTS.get({"octarotor": "base_octarotor"}.get(name, name)), f"{name}_{law}_control"

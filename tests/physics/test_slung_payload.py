@@ -48,7 +48,7 @@ def random_load(num_envs: int) -> Tensor:
     return torch.cat((direction, rate - (rate * direction).sum(-1, keepdim=True) * direction), dim=-1)
 
 
-@pytest.mark.parametrize(("mass", "length"), [(0.1, 0.5), (1.0, 2.0)])
+@pytest.mark.parametrize(("mass", "length"), [pytest.param(0.1, 0.5, marks=pytest.mark.slow), (1.0, 2.0)])
 def test_small_swings_have_the_frequency_of_both_masses(mass: float, length: float) -> None:
     """Below a free vehicle that carries the weight: w² = g / l (1 + m / M); x = x_0 cos w t. Next term of x: x_0²/16."""
     model = hung(ROBOTS.get("tinyprop"), 1, [mass, length, 0.0])
@@ -98,7 +98,7 @@ def test_momentum_and_energy_are_conserved() -> None:
         assert ((swung - load).norm(dim=-1) > 0.1).all()
 
 
-@pytest.mark.parametrize(("integrator", "order"), [("euler", 1.0), ("rk4", 4.0)])
+@pytest.mark.parametrize(("integrator", "order"), [pytest.param("euler", 1.0, marks=pytest.mark.slow), ("rk4", 4.0)])
 def test_the_coupled_motion_converges_with_the_order_of_the_stepper(integrator: str, order: float) -> None:
     model = hung(lopsided_robot(), 8, [0.3, 0.4, 0.02])
     start, load = random_state(8), random_load(8)
@@ -110,7 +110,7 @@ def test_the_coupled_motion_converges_with_the_order_of_the_stepper(integrator: 
     assert abs(log2(errors[0] / errors[1]) - order) < 0.1
 
 
-@pytest.mark.parametrize(("mass", "damping"), [(2e-6, 2e-6), (0.2, 0.1)])
+@pytest.mark.parametrize(("mass", "damping"), [pytest.param(2e-6, 2e-6, marks=pytest.mark.slow), (0.2, 0.1)])
 def test_damping_lets_the_swing_fade(mass: float, damping: float) -> None:
     """x = x_0 exp(-s t) (cos w t + s / w sin w t), s = d / 2 (1 / m + 1 / M): d / 2 m below what a payload does not move."""
     length, both = 1.0, 1.0 + mass / 0.373

@@ -136,7 +136,7 @@ def test_implicit_steps_are_of_order_one() -> None:
     assert errors[1] / errors[2] == pytest.approx(2.0, abs=0.05)
 
 
-@pytest.mark.parametrize(("limit", "reaches"), [(100.0, True), (0.5, False)])
+@pytest.mark.parametrize(("limit", "reaches"), [pytest.param(100.0, True, marks=pytest.mark.slow), (0.5, False)])
 def test_a_drive_holds_its_place_within_what_it_can(limit: float, reaches: bool) -> None:
     """To 1 rad against a weight of 1.96 N m times sin q, with 50 N m/rad; a drive of 0.5 N m holds asin(0.5 / 1.96)."""
     tree, links = pendulum(0.5, 0.4)

@@ -28,6 +28,7 @@ from aerial_gym.physics.effects import Condition, EffectParams, Parameter, Wrenc
 from aerial_gym.physics.law_memory import LawMemory, fresh_law_memory
 from aerial_gym.robots import ROBOTS
 from tests.physics.vehicles import random_state
+from tests.repetitions import seldom
 
 F64 = torch.float64
 DT = 0.002
@@ -87,7 +88,7 @@ class Push(WrenchEffect):
         return torch.cat((torch.zeros_like(params), params), dim=-1)
 
 
-@pytest.mark.parametrize("integral", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("integral", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_a_constant_torque_leaves_no_error_with_an_integral_and_a_known_one_without(integral: bool) -> None:
     """At rest ``J (P e + I) + m = 0``: with an integral e = 0 and ``I = -m / J``, without one ``w = m / (J P)``."""
     cfg = PID if integral else replace(PID, rate_loop=RateLoopCfg(integral=(0.0, 0.0, 0.0)))
@@ -288,7 +289,7 @@ AS_USERS_HAVE_THEM = ("everything", "all of Betaflight", "all of PX4")
 """Those whose kernels are optimised: each kind of loop with all its parts."""
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", seldom(CASES, ("with effects", "no loop", "clamped")))
 def test_the_fused_twin_flies_like_torch(case: str, request: pytest.FixtureRequest) -> None:
     """At most 4 times as far from float64 as float32 torch is, and some units in the last place; through a masked reset."""
     if case in AS_USERS_HAVE_THEM:

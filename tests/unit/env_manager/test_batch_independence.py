@@ -14,6 +14,7 @@ from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import Task
+from tests.repetitions import often
 
 FEW, MANY = 4, 37
 """Neither is a multiple of the width of the processor's vectors."""
@@ -171,22 +172,17 @@ def roll_out(task: Task, first: int = 0, steps: int = 4) -> list[dict[str, Tenso
 AS_USERS_HAVE_THEM = ("agile_tracking_task", "gust_rejection_task", "navigation_task", "racing_task")
 """Those whose kernels are optimised."""
 
-LIKE_OTHERS = (
-    "position_setpoint_task_morphy_stiff", "position_setpoint_task_reconfigurable", "racing_split_s_task",
-    "radar_navigation_task", "radar_navigation_task_held", "smooth_tracking_task", "racing_random_track_task",
-    "platform_landing_task", "gust_rejection_task", "any_quadrotor_task", "payload_task", "safe_navigation_task",
-    "pixel_navigation_task", "recovery_task", "position_setpoint_task_sim2real_px4",
-    "position_setpoint_task_acceleration_sim2real",
-)  # fmt: skip
-"""Other numbers, or fewer parts, than ``position_setpoint_task_morphy``, ``racing_task``, ``lidar_navigation_task``,
-``agile_tracking_task``, ``motor_failure_task``, ``dce_navigation_task``, ``position_setpoint_task_sim2real``, and
-``tracking_task`` with ``smooth_position_setpoint_task``."""
-
-
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[pytest.mark.slow] if name in LIKE_OTHERS else []) for name in task_registry.names()],
+OFTEN = (
+    "lidar_navigation_task",
+    "motor_failure_task",
+    "navigation_task",
+    "position_setpoint_task_morphy",
+    "racing_task",
 )
+"""Of each kind one, of which the others have other numbers, or fewer parts."""
+
+
+@pytest.mark.parametrize("name", often(task_registry.names(), OFTEN))
 def test_a_task_gives_an_environment_the_same_among_few_and_many(name: str, request: pytest.FixtureRequest) -> None:
     if name in AS_USERS_HAVE_THEM:
         request.getfixturevalue("optimised")

@@ -43,7 +43,7 @@ def test_c_and_torchscript_give_what_torch_gives(activation: str, memory: int, n
     assert max(map(len, text.splitlines())) < 140
 
 
-@pytest.mark.parametrize("memory", [0, 16])
+@pytest.mark.parametrize("memory", [pytest.param(0, marks=pytest.mark.slow), 16])
 def test_onnx_gives_what_torch_gives(memory: int, tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     pytest.importorskip("onnxscript")

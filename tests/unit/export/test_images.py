@@ -61,9 +61,9 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("shapes", "activation", "memory", "dtype"),
     [
-        ({"observations": OBSERVATIONS, "depth": IMAGE}, "elu", 0, "uint8"),
+        pytest.param({"observations": OBSERVATIONS, "depth": IMAGE}, "elu", 0, "uint8", marks=pytest.mark.slow),
         ({"depth": IMAGE, "observations": OBSERVATIONS}, "relu", 6, "uint8"),
-        ({"observations": OBSERVATIONS, "depth": IMAGE}, "tanh", 0, "float32"),
+        pytest.param({"observations": OBSERVATIONS, "depth": IMAGE}, "tanh", 0, "float32", marks=pytest.mark.slow),
     ],
     ids=["bytes", "image first and memory", "floats"],
 )
@@ -92,6 +92,7 @@ def test_onnx_gives_what_torch_gives(memory: int, tmp_path: Path) -> None:
     assert found.largest_difference < TOLERANCE
 
 
+@pytest.mark.slow
 @COMPILER
 @pytest.mark.usefixtures("few")
 def test_two_images_of_two_frames_go_in_by_name(tmp_path: Path) -> None:

@@ -173,6 +173,7 @@ def test_two_effects_that_only_forces_show_are_told_apart_by_no_manoeuvre(tmp_pa
     assert "no manoeuvre of the catalogue is expected to tell" in page
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_pixels")
 def test_the_corrected_robot_loads_and_leaves_nothing_to_find(result: Path, folder: Path) -> None:
     corrected = load(RobotCfg, result / "robot.yaml")
@@ -257,6 +258,7 @@ def test_a_flight_that_cannot_be_used_is_said_to_be_left_out(run: tuple[Path, st
     assert "ang_vel 2 is 0 in every row" in (out / "report.html").read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_pixels")
 def test_only_what_is_asked_for_is_looked_for(tmp_path: Path) -> None:
     """Drag and weaker rotors are hidden: with one of them asked for, the other is not named and not weighed."""
@@ -397,6 +399,7 @@ def test_forces_at_an_unknown_airspeed_are_not_called_unexplained(tmp_path: Path
     assert "what remains of the specific force is not judged: log v or p" in verdict.reason
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_bends_is_said_to_be_taken_as_rigid_and_gets_no_effect_that_it_cannot_have(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,6 +1,7 @@
 """What is stated of means is checked against closed forms."""
 
 import numpy as np
+import pytest
 
 from aerial_gym.sim2real.statistics import binned_mean
 
@@ -33,6 +34,7 @@ def test_the_standard_error_holds_where_neighbours_are_alike() -> None:
     assert abs(np.mean(variances) / truth - 1.0) < 0.03
 
 
+@pytest.mark.slow
 def test_two_of_three_bars_hold_the_truth_however_few_groups_there_are() -> None:
     """Half widths of one standard error by Student's t: 68.3 % of 4000 trials with 2, 3 or 12 groups, each known to 0.74 %."""
     rng = np.random.default_rng(2)

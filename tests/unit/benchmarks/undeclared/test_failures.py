@@ -64,6 +64,7 @@ def test_a_weak_propeller_turns_as_told_and_gives_its_share() -> None:
     assert slope[1, 15] > slope[0, 15] + 1.0  # the right side goes down, the left up: about +x
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("coarser_plant")
 def test_only_the_named_flight_fails_and_ends_in_the_air(tmp_path: Path) -> None:
     short = {"effects": {}, "seed": 5, "num_train": 1, "num_test": 1, "duration_s": 3.0}

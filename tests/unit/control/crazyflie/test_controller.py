@@ -134,7 +134,7 @@ def test_a_crazyflie_flies_with_what_it_comes_with(name: str) -> None:
     ("changes", "ends"),
     [
         ({"crazyflie_pid": CrazyfliePidCfg(velocity_ki=(0.0, 0.0, 2.0))}, True),
-        ({"crazyflie_pid": CrazyfliePidCfg(velocity_ki=(0.0, 0.0, 0.0))}, False),
+        pytest.param({"crazyflie_pid": CrazyfliePidCfg(velocity_ki=(0.0, 0.0, 0.0))}, False, marks=pytest.mark.slow),
     ],
 )
 def test_integrals_hold_a_weight_that_nobody_declared(changes: dict, ends: bool) -> None:
@@ -193,6 +193,7 @@ def test_brescianini_turns_by_the_shortest_way_and_to_a_share_of_the_heading(sha
     assert torque[0].tolist() == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_brescianini_leans_within_the_inclination_for_what_is_far_below() -> None:
     """2 m down at 1 / (0.3 s)² is more than any weight: without the limit it would turn over to thrust downwards."""
     law = law_of(BRESCIANINI, TUNED)

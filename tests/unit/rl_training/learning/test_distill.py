@@ -62,6 +62,7 @@ def difference(iterations: int, **distill: object) -> float:
     return float(learner.gauges[learner.GAUGES.index("difference")])
 
 
+@pytest.mark.slow
 def test_a_student_who_sees_the_same_comes_to_do_the_same() -> None:
     """Against one that does not learn: the root of the mean square of what differs is less than half."""
     quick = {"num_epochs": 4, "end_learning_rate": 5e-4}

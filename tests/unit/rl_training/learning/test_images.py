@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import pytest
 import torch
 from gymnasium import spaces
 from torch import Tensor
@@ -69,6 +70,7 @@ def late_cost(keys: tuple[str, ...]) -> float:
         return float(-learner._fly().reward.mean())
 
 
+@pytest.mark.slow
 def test_an_image_tells_what_a_vector_does_not() -> None:
     """Without it the best action is 0, which costs 0.64; the final image is that of the step before, as the task gives none."""
     assert late_cost(("observations", "depth")) < 0.1

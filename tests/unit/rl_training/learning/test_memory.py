@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import pytest
 import torch
 from gymnasium import spaces
 from torch import Tensor
@@ -59,6 +60,7 @@ def late_cost(memory: int) -> float:
         return float(-learner._fly().reward.mean())
 
 
+@pytest.mark.slow
 def test_a_memory_learns_what_was_shown_before_and_without_one_it_cannot_be_known() -> None:
     """Without a memory the best action is what is seen, 0.8 off in four steps of five: 0.64 * 4 / 5 = 0.512."""
     assert late_cost(16) < 0.1

@@ -11,6 +11,7 @@ from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers import apg, ppo
 from aerial_gym.rl_training.trainers.own import OwnTraining
 from aerial_gym.task import Task
+from tests.repetitions import often
 from tests.unit.rl_training.learning import test_apg, test_ppo
 
 Make = Callable[[TrainingCfg, Task], OwnTraining[Any]]
@@ -28,7 +29,7 @@ TRAININGS: dict[str, tuple[TrainingCfg, Make]] = {
 }
 
 
-@pytest.mark.parametrize("name", TRAININGS)
+@pytest.mark.parametrize("name", often(TRAININGS, ("ppo, recurrent and shared", "apg, with a critic")))
 def test_a_training_repeats_bit_for_bit_and_goes_on_as_if_it_had_not_stopped(name: str) -> None:
     cfg, make = TRAININGS[name]
     chosen = {"differentiable": True} if cfg.trainer == "apg" else {"capture": False}

@@ -52,6 +52,7 @@ def test_rollouts_find_the_drag_and_leave_it_to_precise_single_steps(tmp_path) -
     assert found.as_mapping()["because"] == list(found.objections)
 
 
+@pytest.mark.slow
 def test_rollouts_decide_where_accelerometers_are_noisy(tmp_path) -> None:
     """Noise of 5 m/s² leaves single steps unsure; velocity and attitude are exact, and so rollouts know the drag."""
     tables, rng = flights_with_drag(0.0), np.random.default_rng(0)

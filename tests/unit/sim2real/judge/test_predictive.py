@@ -170,6 +170,7 @@ def test_what_no_tolerance_covers_is_open_to_the_effect_that_training_does_not_s
     assert "inertia_error" not in asked.open_to
 
 
+@pytest.mark.slow
 def test_an_offset_as_large_as_those_of_other_flights_is_open_and_what_moves_is_not(tmp_path) -> None:
     """0.2 m/s² along x in the test flight alone: nothing new where offsets of flights scatter by 0.1, and they move nothing."""
     with one_thread():
@@ -186,6 +187,7 @@ def test_an_offset_as_large_as_those_of_other_flights_is_open_and_what_moves_is_
     assert "specific_force.x" in moving.channels
 
 
+@pytest.mark.slow
 def test_offsets_that_are_alike_by_chance_say_little_and_none_is_larger_than_it_may_be(tmp_path) -> None:
     """0.2 m/s² in the test flight beside 0.03 in three others: with two degrees of freedom no news, unless 0.04 is the most."""
     own, more = {"specific_force.x": 0.03}, lambda time: np.full(time.size, 0.2)
@@ -196,6 +198,7 @@ def test_offsets_that_are_alike_by_chance_say_little_and_none_is_larger_than_it_
     assert "specific_force.x" in bounded.channels
 
 
+@pytest.mark.slow
 def test_what_training_shows_is_not_open(tmp_path) -> None:
     """A drag of the test flights alone, 1 N s/m, after training that moves without any: training rules every effect out."""
     with one_thread():

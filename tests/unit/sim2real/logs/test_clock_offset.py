@@ -29,7 +29,7 @@ def late(values: np.ndarray, rows: float) -> np.ndarray:
     return np.fft.irfft(np.fft.rfft(values) * np.exp(-2j * np.pi * frequency * rows), n=values.size)
 
 
-@pytest.mark.parametrize("offset", [-4.0, 0.0, 3.3])
+@pytest.mark.parametrize("offset", [-4.0, pytest.param(0.0, marks=pytest.mark.slow), 3.3])
 def test_an_offset_of_the_rotor_log_is_found_with_its_spread(offset: float) -> None:
     """Drag along z and a lever arm must not look like an offset; a thrust that is off by 5 % neither. z is normal."""
     rng, found = np.random.default_rng(2), []

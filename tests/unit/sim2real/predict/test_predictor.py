@@ -708,6 +708,7 @@ def test_forces_derived_from_the_velocity_have_no_errors_of_an_accelerometer(tmp
     assert "no inertial sensor" in lacks("imu_misalignment", ROBOT, [without])
 
 
+@pytest.mark.slow
 def test_a_prediction_does_not_depend_on_those_before_it(tmp_path: Path) -> None:
     """Every parameter of every effect and every tolerance, one after the other, each as a predictor of its own says: 1e-9."""
     found = load(tmp_path, drag=0.25)

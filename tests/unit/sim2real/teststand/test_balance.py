@@ -198,7 +198,8 @@ def test_what_many_candidates_share_is_one_half() -> None:
     assert sum(found.values()) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("baselines", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("baselines", [1, 2])
 def test_wrong_names_are_as_rare_as_it_says(baselines: int) -> None:
     """Small and moderate weights and a weak propeller: in 1 % of draws what is named may lack the cause, and parts that do not
     show (a little mass beside a shift) are no reason to name another."""

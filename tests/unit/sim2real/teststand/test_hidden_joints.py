@@ -37,6 +37,7 @@ def ride_from(table: pd.DataFrame, path: Path) -> Ride:
     return ride_of(robot(), uniform_log(read_flight_log(path)), bandwidth=BAND)
 
 
+@pytest.mark.slow
 def test_what_a_body_feels_of_swinging_arms_is_what_that_of_the_plant_felt(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -137,6 +138,7 @@ def test_hidden_springs_are_named_and_found(seed: int, tmp_path: Path) -> None:
     assert springs[0].stiffness == pytest.approx(0.9, rel=0.03)  # type: ignore[union-attr]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_pixels")
 def test_the_loop_names_joints_beside_effects(tmp_path: Path) -> None:
     """By their angles; a mapping is refused, as it would hide them."""

@@ -209,9 +209,9 @@ def step_table(params: dict[str, float], *, noise: float, seed: int = 0, rate: f
     ("params", "law"),
     [
         ({"tau": 0.04}, "one time constant"),
-        ({"tau_up": 0.03, "tau_down": 0.06}, "up and down"),
+        pytest.param({"tau_up": 0.03, "tau_down": 0.06}, "up and down", marks=pytest.mark.slow),
         ({"tau_up": 0.03, "tau_down": 0.06, "delay": 0.012}, "up and down, delay"),
-        ({"tau": 0.03, "slew_down": 2e4}, "one time constant, slew limit down"),
+        pytest.param({"tau": 0.03, "slew_down": 2e4}, "one time constant, slew limit down", marks=pytest.mark.slow),
         ({"tau": 0.03, "slew_up": 3e4, "slew_down": 2e4}, "one time constant, slew limits"),
     ],
 )

@@ -15,6 +15,7 @@ from aerial_gym.config.robot import SensorMountCfg
 from aerial_gym.env_manager import SimBuilder
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import task_registry
+from tests.repetitions import seldom
 from tests.unit.task.hover import rich, seeing
 
 FORBIDDEN = {
@@ -53,13 +54,7 @@ LIKE_OTHERS = ("radar_navigation_task", "radar_navigation_task_held", "position_
 """Their terms are those of ``lidar_navigation_task``, whose rays are others, and of ``position_setpoint_task_morphy``."""
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        *(pytest.param(name, marks=pytest.mark.slow if name in LIKE_OTHERS else ()) for name in task_registry.names()),
-        *("rich", "seeing"),
-    ],
-)
+@pytest.mark.parametrize("name", seldom([*task_registry.names(), "rich", "seeing"], LIKE_OTHERS))
 def test_a_step_of_a_task_can_be_captured(name: str) -> None:
     """Some environments end on the way, so that the masked reset, with all that it draws, is in the step."""
     own = {"rich": rich, "seeing": seeing}

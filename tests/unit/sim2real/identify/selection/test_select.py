@@ -70,8 +70,8 @@ def lifted_below(table: pd.DataFrame) -> pd.DataFrame:
     ("scale", "change", "named", "surrogates"),
     [
         (1.0, fading, (), {"thrust_coefficient": "time"}),
-        (0.9, lifted_below, ("thrust_coefficient",), {}),
-        (0.9, lambda table: table, ("thrust_coefficient",), {}),
+        pytest.param(0.9, lifted_below, ("thrust_coefficient",), {}, marks=pytest.mark.slow),
+        pytest.param(0.9, lambda table: table, ("thrust_coefficient",), {}, marks=pytest.mark.slow),
     ],
 )
 def test_a_name_holds_or_only_stands_in(
@@ -87,7 +87,11 @@ def test_a_name_holds_or_only_stands_in(
 
 
 @pytest.mark.parametrize(
-    ("gyro", "candidates"), [(True, {"thrust_coefficient"}), (False, {"thrust_coefficient", "payload_mass"})]
+    ("gyro", "candidates"),
+    [
+        (True, {"thrust_coefficient"}),
+        pytest.param(False, {"thrust_coefficient", "payload_mass"}, marks=pytest.mark.slow),
+    ],
 )
 def test_thrust_and_mass_are_told_by_torques_as_far_as_the_inertia_is_known(
     gyro: bool, candidates: set[str], tmp_path: Path
@@ -102,6 +106,7 @@ def test_thrust_and_mass_are_told_by_torques_as_far_as_the_inertia_is_known(
     assert {named, *tied_rivals(named, found)} == candidates
 
 
+@pytest.mark.slow
 def test_a_steady_wind_is_not_called_a_shear_that_hardly_grows(tmp_path: Path) -> None:
     """Between 4 and 6 m a shear with a small power is a constant wind; the wider of two cases is no rival."""
     drag = {"dx": 0.3, "dy": 0.3, "dz": 0.3}

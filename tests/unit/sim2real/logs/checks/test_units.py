@@ -13,6 +13,7 @@ from aerial_gym.sim2real.logs.checks.units import check_growth, check_units, rel
 from aerial_gym.sim2real.logs.flights import load_flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
+from tests.repetitions import thinned
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 V, P, ACC = (["v_x", "v_y", "v_z"], ["p_x", "p_y", "p_z"], ["acc_x", "acc_y", "acc_z"])
@@ -54,7 +55,9 @@ def test_a_good_log_passes_whatever_it_lacks(table: pd.DataFrame, tmp_path: Path
 
 @pytest.mark.parametrize(
     ("unit", "factor"),
-    [("mph", 0.44704), ("kn", 1.852 / 3.6), ("km/h", 1 / 3.6), ("ft/s", 0.3048), ("mm/s", 1e-3), ("cm/s", 1e-2)],
+    thinned(
+        [("mph", 0.44704), ("kn", 1.852 / 3.6), ("km/h", 1 / 3.6), ("ft/s", 0.3048), ("mm/s", 1e-3), ("cm/s", 1e-2)], 3
+    ),
 )
 def test_the_unit_of_velocity_is_named_and_the_way_out_mends_it(
     table: pd.DataFrame, tmp_path: Path, unit: str, factor: float
