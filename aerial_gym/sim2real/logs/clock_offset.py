@@ -8,12 +8,16 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
+from scipy import signal, stats
 
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
 
 Array = NDArray[np.float64]
+
+LATE_S = 0.003
+"""By how much what is logged is late, each sensor by itself [s], a standard deviation: filters and telemetry take some
+milliseconds, and no logger writes them down."""
 
 LARGEST_SHIFT_S = 0.05
 """Clock offsets of the rotor log are looked for up to this [s]; measured_data.md 2: 0 to 0.03 s."""
@@ -39,6 +43,14 @@ class ClockOffset:
     rows: float = 0.0
     std: float = 0.0
     """Standard deviation [rows]."""
+
+    def is_a_clock(self, rate: float) -> bool:
+        """Return whether it is more probable of another clock than of two sensors that are late, at ``rate`` [Hz].
+
+        A clock may be off by anything that is looked for; rotor speeds and accelerometer are late each by itself.
+        """
+        spread = float(np.hypot(np.sqrt(2.0) * LATE_S, self.std / rate))
+        return bool(stats.norm.pdf(self.rows / rate, scale=spread) < 0.5 / LARGEST_SHIFT_S)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +133,13 @@ def common_offsets(found: Sequence[OffsetCurve], learning: int) -> list[ClockOff
 
     A logger has one clock: a flight whose thrust hardly varies is moved as the others are, unless its own rules that out.
     The first ``learning`` logs decide on it; the others, which are to judge, may only follow it or keep their own.
+    None where sensors may as well be late: that is tolerated of each of them beside every effect, and commands are on time.
     """
+    told = zip(_told_offsets(found, learning), found, strict=True)
+    return [offset if offset.is_a_clock(one.rate) else ClockOffset() for offset, one in told]
+
+
+def _told_offsets(found: Sequence[OffsetCurve], learning: int) -> list[ClockOffset]:
     own = [one.offset for one in found]
     told = list(zip(own, found, strict=True))[:learning]
     known = [(offset.rows / one.rate, offset.std / one.rate) for offset, one in told if offset.std > 0.0]

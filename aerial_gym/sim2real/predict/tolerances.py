@@ -17,6 +17,7 @@ from torch import Tensor
 from aerial_gym.config.robot import require_positive
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.physics import Vehicle
+from aerial_gym.sim2real.logs.clock_offset import LATE_S
 
 LAYOUT: dict[str, str | tuple[str, ...]] = {
     "mass": ("",),
@@ -70,7 +71,7 @@ class Tolerances:
     It turns what attitude and velocity say of forces and rates, the airspeed, and what hangs on the vehicle.
     """
 
-    sensor_delay: float = 0.003
+    sensor_delay: float = LATE_S
     """By how much what is logged is late, rotor speeds, accelerometer, gyro, attitude and velocity each by itself [s].
 
     Filters, telemetry and motion capture take some milliseconds, and no logger writes them down. Commands are the clock.

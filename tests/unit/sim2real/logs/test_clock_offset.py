@@ -165,3 +165,18 @@ def test_flights_that_judge_do_not_move_those_that_are_learnt_from() -> None:
         assert (offset.rows, offset.std) == pytest.approx(
             (expected.rows, expected.std), rel=1e-9
         )  # sums in another order
+
+
+@pytest.mark.parametrize(("offset", "moved"), [(1.6, False), (-1.6, False), (2.4, True), (-2.4, True)])
+def test_what_late_sensors_explain_as_well_is_no_other_clock(offset: float, moved: bool) -> None:
+    """Rotor speeds and accelerometer are late by 3 ms each: 8 ms are theirs, 12 ms are those of a clock, which is anywhere.
+
+    Even odds of a normal deviation of ``s = 3 sqrt(2)`` ms and of any within 50 ms: ``s sqrt(2 ln(100 / (s sqrt(2 pi))))`` is
+    9.0 ms.
+    """
+    curve = heard(np.random.default_rng(11), offset, size=1.0)
+    assert curve.offset.rows == pytest.approx(offset, abs=0.2)
+    assert common_offsets([curve], 1) == [curve.offset if moved else ClockOffset()]
+    limits = [time for time in np.arange(5.0, 15.0, 0.1) if ClockOffset(rows=time, std=1e-3).is_a_clock(1000.0)]
+    assert min(limits) == pytest.approx(9.0, abs=0.11)
+    assert not ClockOffset(rows=10.0, std=5.0).is_a_clock(1000.0)
