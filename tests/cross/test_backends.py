@@ -25,7 +25,7 @@ from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
 from tests.physics.vehicles import CEILING, lopsided_robot, random_state
-from tests.repetitions import thinned
+from tests.repetitions import seldom, thinned
 
 FACTOR = 4.0
 ROUND_OFF = 2e-6
@@ -161,7 +161,10 @@ ONE_OF_EACH_KIND = ("no_control", "lee_position_control", "pid_velocity_control"
 
 @pytest.mark.parametrize(
     ("controller", "integrator"),
-    [(name, "euler") for name in CONTROLLERS.names() if CONTROLLERS.get(name).gains is None]
+    seldom(
+        [(name, "euler") for name in CONTROLLERS.names() if CONTROLLERS.get(name).gains is None],
+        [(name, "euler") for name in CONTROLLERS.names() if CONTROLLERS.get(name).autopilot],
+    )
     + [
         pytest.param(name, integrator, marks=() if name == "no_control" else pytest.mark.slow)
         for name in ONE_OF_EACH_KIND
@@ -172,6 +175,7 @@ ONE_OF_EACH_KIND = ("no_control", "lee_position_control", "pid_velocity_control"
 def test_every_controller_and_stepper_flies_like_torch(
     controller: str, integrator: str, request: pytest.FixtureRequest
 ) -> None:
+    """Those of autopilots fly so with all that they have in ``unit/control/test_cascade.py``."""
     if controller in ONE_OF_EACH_KIND:
         request.getfixturevalue("optimised")
     robot = "base_octarotor" if CONTROLLERS.get(controller).law == "pose" else "tinyprop"

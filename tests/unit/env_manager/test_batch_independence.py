@@ -83,12 +83,15 @@ def assert_same(found: dict[str, Tensor], expected: dict[str, Tensor], *, within
 @pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize(
     ("env", "robot"),
-    [
-        *((name, "base_quadrotor") for name in OBSTACLE_COURSES),
-        ("env_with_obstacles", "base_quadrotor_with_camera_imu"),
-        ("empty_env", "tinyprop"),
-        ("empty_env", "neural_fly_quad"),
-    ],
+    often(
+        [
+            *((name, "base_quadrotor") for name in OBSTACLE_COURSES),
+            ("env_with_obstacles", "base_quadrotor_with_camera_imu"),
+            ("empty_env", "tinyprop"),
+            ("empty_env", "neural_fly_quad"),
+        ],
+        [("dynamic_env", "base_quadrotor"), ("empty_env", "neural_fly_quad")],
+    ),
 )
 def test_an_environment_is_the_same_among_few_and_many(env: str, robot: str) -> None:
     found = []
@@ -173,7 +176,6 @@ AS_USERS_HAVE_THEM = ("agile_tracking_task", "gust_rejection_task", "navigation_
 """Those whose kernels are optimised."""
 
 OFTEN = (
-    "lidar_navigation_task",
     "motor_failure_task",
     "navigation_task",
     "position_setpoint_task_morphy",

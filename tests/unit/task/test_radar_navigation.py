@@ -85,6 +85,7 @@ def test_so_many_cells_give_no_return() -> None:
     assert same == pytest.approx(SHARE**2 + (1.0 - SHARE) ** 2, abs=0.02)  # drawn anew at every step
 
 
+@pytest.mark.slow
 def test_the_held_task_differs_by_what_lost_cells_show() -> None:
     """Of 0.8^20 = 1.2 % of the cells at most nothing is seen after 20 steps; before that of 0.8^k."""
     held = task_registry.get("radar_navigation_task_held")

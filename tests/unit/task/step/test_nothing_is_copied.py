@@ -20,6 +20,9 @@ RANDOMIZE = {
 }
 
 
+LIKE_OTHERS = ("radar_navigation_task", "radar_navigation_task_held", "position_setpoint_task_reconfigurable")
+"""Their terms are those of ``lidar_navigation_task``, whose rays are others, and of ``position_setpoint_task_morphy``."""
+
 DRAWN = ("position_setpoint_task", "racing_task", "any_quadrotor_task")
 """Tasks of one kind each that are tried with drawn parameters as well."""
 
@@ -27,7 +30,10 @@ DRAWN = ("position_setpoint_task", "racing_task", "any_quadrotor_task")
 @pytest.mark.parametrize(
     ("name", "randomize"),
     [
-        *(pytest.param(name, {}, id=f"{name}-equal") for name in task_registry.names()),
+        *(
+            pytest.param(name, {}, id=f"{name}-equal", marks=pytest.mark.slow if name in LIKE_OTHERS else ())
+            for name in task_registry.names()
+        ),
         *(
             pytest.param(name, RANDOMIZE, id=f"{name}-randomised", marks=() if name in DRAWN else pytest.mark.slow)
             for name in task_registry.names()
