@@ -139,7 +139,8 @@ def judge(verdict: dict, truth: dict[str, dict[str, float]]) -> dict[str, object
         "candidates": list(verdict.get("candidates", [])),
         "not_testable": list(verdict.get("not_testable", [])),
         "structure": verdict.get("structure"),
-        "right": set(named) == set(truth) and verdict["verdict"] == ("explained" if truth else "none"),
+        "right": set(named) == set(truth)
+        and verdict["verdict"] in (("explained",) if truth else ("none", "not shown")),
         "judgement": _judgement(list(named), list(truth), verdict),
         "worst_z": max(distances, default=0.0),
         "inside": sum(z < 1.96 for z in distances),

@@ -55,6 +55,17 @@ def imports_of(path: Path, package: str = "aerial_gym") -> set[str]:
     return found
 
 
+LONGEST = 400
+"""Lines of a file of ``sim2real``."""
+
+
+def test_no_file_of_the_loop_is_too_long_to_read() -> None:
+    lines = {
+        path.name: len(path.read_text(encoding="utf-8").splitlines()) for path in (ROOT / "sim2real").rglob("*.py")
+    }
+    assert {name: count for name, count in lines.items() if count > LONGEST} == {}
+
+
 @pytest.mark.parametrize("path", sorted(ROOT.rglob("*.py")), ids=lambda p: str(p.relative_to(ROOT)))
 def test_imports_point_left(path: Path) -> None:
     package = path.relative_to(ROOT).parts[0].removesuffix(".py")

@@ -21,15 +21,9 @@ from aerial_gym.physics.effects import ImuEffect, LoadEffect
 from aerial_gym.sim2real.identify.candidates.library import neutral_of
 from aerial_gym.sim2real.identify.candidates.testable import at_bounds
 from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty, uncertainty
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
-    Fit,
-    best_step,
-    linearise,
-    params_of,
-    scales,
-    tolerance_jacobian,
-    with_params,
-)
+from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, best_step, linearise
+from aerial_gym.sim2real.identify.least_squares.parameters import params_of, scales, with_params
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, Scored
 from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.identify.window_rollouts import WINDOW_S, Linear, Rollouts

@@ -11,7 +11,7 @@ import numpy as np
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real.identify.battery import with_battery
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import params_of, with_params
+from aerial_gym.sim2real.identify.least_squares.parameters import params_of, with_params
 from aerial_gym.sim2real.identify.output_error import Refit, refit_on_rollouts
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.identify.selection.select import Selection, select_effects

@@ -18,20 +18,16 @@ from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_conjugate, quat_exp, quat_log, quat_multiply
 from aerial_gym.physics import EFFECTS, BodyState, vehicle_from_config
+from aerial_gym.sim2real.identify.least_squares.derivatives import STEP
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     FARTHEST_DEVIATION,
-    STEP,
     Fit,
     Frozen,
     best_step,
-    bounds_of,
-    is_number,
-    params_of,
     prior_precision,
-    scales,
-    with_params,
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
+from aerial_gym.sim2real.identify.least_squares.parameters import bounds_of, is_number, params_of, scales, with_params
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor

@@ -112,6 +112,7 @@ def judge(refitted: Refitted, *, seed: int, learn_residual: bool, progress: Prog
         outcomes=became,
         flights=by_flight(tested, models, both, floors_with_gusts(floors, unexplained), least=least, seed=seed),
         unexplained=unexplained.channels,
+        not_shown=unexplained.left_open,
         whiteness=dict(zip((channel.name for channel in declared.channels), spectra, strict=True)),
         learned=learned,
         notes=notes(refitted, unexplained, effects, named),

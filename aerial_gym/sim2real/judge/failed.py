@@ -7,6 +7,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.failures.finding import Failure, same_in_all
 from aerial_gym.sim2real.judge.analysis import Judged
+from aerial_gym.sim2real.judge.outcome import NOTHING_NAMED
 from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT, NamedEffect, Verdict
 
 
@@ -33,8 +34,8 @@ def _told(verdict: Verdict, failures: Sequence[Failure], effect: NamedEffect | N
     sentences = "; ".join(failure.sentence for failure in failures)
     return replace(
         verdict,
-        verdict="explained" if verdict.verdict == "none" else verdict.verdict,
-        reason=f"{sentences}; up to then: {verdict.reason}",
+        verdict="explained" if verdict.verdict in NOTHING_NAMED else verdict.verdict,
+        reason=verdict.told_before(f"{sentences}; up to then: "),
         effects=verdict.effects if effect is None else (*verdict.effects, effect),
         candidates=verdict.candidates if effect is None else (*verdict.candidates, effect.name),
         failures=tuple(failures),

@@ -144,6 +144,10 @@ def _listed(chosen: Sequence[Outcome]) -> str:
 TRUSTED = {
     "explained": "The corrected vehicle makes the flights within noise and tolerances",
     "none": "The declared vehicle makes the flights within noise and tolerances; nothing is to be corrected",
+    NOT_SHOWN: (
+        "The declared vehicle makes the flights as far as the training flights show it; what more test flights hold is open: "
+        "train on flights that move as they do"
+    ),
     "unexplained": (
         "The flights hold more than the vehicle makes, of a kind that no registered effect has: do not trust the simulator in "
         "the channels named here"
@@ -151,6 +155,9 @@ TRUSTED = {
     "ambiguous": "What remains on the test flights may be an effect that the training flights do not show; fly what shows it",
 }
 """What each verdict tells its reader of the model."""
+
+NOTHING_NAMED = ("none", NOT_SHOWN)
+"""Verdicts that give no name; beside one, of gusts, a failure or a joint, all is explained that training flights show."""
 
 
 def doubted(ties: Mapping[str, Sequence[str]]) -> str:

@@ -16,15 +16,10 @@ from scipy import stats
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.library import Candidate, Library, build_library
 from aerial_gym.sim2real.identify.candidates.testable import lacks
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
-    WEAK_PRIOR,
-    effect_jacobian,
-    is_number,
-    normal_equations,
-    prior_precision,
-    tolerance_jacobian,
-)
+from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import WEAK_PRIOR, normal_equations, prior_precision
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
+from aerial_gym.sim2real.identify.least_squares.parameters import is_number
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.predict.model_params import ModelParams

@@ -12,7 +12,7 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.failures.finding import Failure
 from aerial_gym.sim2real.identify.candidates.structure import Structure
 from aerial_gym.sim2real.identify.learned import Learned
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import is_number, params_of, scales
+from aerial_gym.sim2real.identify.least_squares.parameters import is_number, params_of, scales
 from aerial_gym.sim2real.identify.output_error import Refit
 from aerial_gym.sim2real.identify.selection.in_part import RivalInPart
 from aerial_gym.sim2real.identify.selection.select import Selection
@@ -20,7 +20,7 @@ from aerial_gym.sim2real.judge.ablation import Ablation
 from aerial_gym.sim2real.judge.breakdown import Part, Regime
 from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.judge.experiments.design import Advice
-from aerial_gym.sim2real.judge.outcome import Outcome, meaning
+from aerial_gym.sim2real.judge.outcome import NOT_SHOWN, Outcome, meaning, said_first
 from aerial_gym.sim2real.judge.whiteness import Whiteness
 
 MOST_CONFIDENT = 0.9999
@@ -93,7 +93,7 @@ class Verdict:
     """What the flights say about the declared model."""
 
     verdict: str
-    """explained, none, unexplained or ambiguous."""
+    """explained, none, not shown, unexplained or ambiguous."""
 
     reason: str
     """One sentence; what gets worse on the test flights comes first."""
@@ -135,6 +135,9 @@ class Verdict:
     unexplained: tuple[str, ...]
     """Channels with material structure after the correction."""
 
+    not_shown: tuple[str, ...] = ()
+    """Channels in which more than noise remains, and no more than the training flights leave open."""
+
     whiteness: dict[str, Whiteness] = field(default_factory=dict)
     """Of the residual of each channel on the test flights, deviations within the tolerances taken off."""
 
@@ -159,6 +162,12 @@ class Verdict:
     def differing_joints(self) -> list[str]:
         """Names of joints that differ from what is declared; the corrected robot has them, residuals know a rigid one."""
         return [str(joint["name"]) for joint in self.joints if joint["changed"]]
+
+    def told_before(self, told: str) -> str:
+        """Return the reason with what is told before it, but behind what gets worse on the test flights."""
+        worse = said_first(self.outcomes)
+        rest = self.reason.removeprefix(worse).removeprefix("; ")
+        return "; ".join(part for part in (worse, f"{told}{rest}") if part)
 
     @property
     def meaning(self) -> str:
@@ -195,6 +204,7 @@ class Verdict:
                 for name, found in self.whiteness.items()
             },
             "remains": list(self.unexplained),
+            "not_shown": list(self.not_shown),
             "learned_residual": None if self.learned is None else self.learned.sentence,
             "before": self.before.as_mapping(),
             "after": self.after.as_mapping(before=self.before),
@@ -306,8 +316,10 @@ def decide(
         return "none", f"{start} to show a noise floor: whether more than noise remains cannot be told", unique
     own = f"; each flight has an offset of its own in {', '.join(of_flights)}" if of_flights else ""
     if not selection.accepted:
-        rest = f"; what the training flights do not show remains in {', '.join(left_open)}" if left_open else ""
-        return "none", f"the declared model explains the flights within noise and tolerances{own}{rest}", unique
+        if left_open:
+            rest = f"what remains in {', '.join(left_open)} is no more than the training flights leave open"
+            return NOT_SHOWN, f"the flights show no registered effect{own}; {rest}", unique
+        return "none", f"the declared model explains the flights within noise and tolerances{own}", unique
     if left_open:
         rest = f"what remains in {', '.join(left_open)} is no more than they leave open: fly more to know it better"
     elif of_flights:

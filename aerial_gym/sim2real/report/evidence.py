@@ -15,8 +15,9 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import effect_jacobian, scales
+from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
 from aerial_gym.sim2real.identify.least_squares.moments import time_groups
+from aerial_gym.sim2real.identify.least_squares.parameters import scales
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor

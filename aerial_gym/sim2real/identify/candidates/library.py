@@ -12,18 +12,17 @@ from numpy.typing import NDArray
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance
-from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, change_along, exact_along, single
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
-    UNIT,
-    WEAK_PRIOR,
-    Frozen,
-    bounds_of,
+from aerial_gym.sim2real.identify.least_squares.derivatives import (
+    Derivatives,
+    change_along,
     effect_jacobian,
-    is_number,
-    scales,
+    exact_along,
+    single,
     tolerance_jacobian,
 )
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, WEAK_PRIOR, Frozen
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
+from aerial_gym.sim2real.identify.least_squares.parameters import bounds_of, is_number, scales
 from aerial_gym.sim2real.identify.least_squares.weighted import (
     Part,
     moments_by_channel,

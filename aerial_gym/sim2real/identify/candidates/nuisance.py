@@ -23,8 +23,7 @@ from aerial_gym.sim2real.identify.candidates.structure import (
     motion_of,
     rows_of,
 )
-from aerial_gym.sim2real.identify.least_squares.derivatives import single
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import tolerated
+from aerial_gym.sim2real.identify.least_squares.derivatives import single, tolerated
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets
 from aerial_gym.sim2real.identify.least_squares.weighted import InChannels

@@ -17,20 +17,15 @@ from aerial_gym.sim2real.identify.evidence.guard import Support, parts_of_a_flig
 from aerial_gym.sim2real.identify.evidence.laplace import Model, Posterior, posterior
 from aerial_gym.sim2real.identify.evidence.linear import linear_about
 from aerial_gym.sim2real.identify.evidence.search import Sets
-from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, single
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
-    NOTHING_LEFT,
-    Fit,
-    Frozen,
-    Goal,
-    bounds_of,
+from aerial_gym.sim2real.identify.least_squares.derivatives import (
+    Derivatives,
     effect_jacobian,
-    fit_effects,
-    is_number,
-    scales,
+    single,
     tolerance_jacobian,
 )
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import NOTHING_LEFT, Fit, Frozen, Goal, fit_effects
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
+from aerial_gym.sim2real.identify.least_squares.parameters import bounds_of, is_number, scales
 from aerial_gym.sim2real.identify.least_squares.weighted import Beside, Part
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.library import Library
 from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, Fit, normal_equations, params_of, scales
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, Fit, normal_equations
+from aerial_gym.sim2real.identify.least_squares.parameters import params_of, scales
 
 Array = NDArray[np.float64]
 

@@ -1,22 +1,87 @@
-"""Derivatives of predictions by parameters: how they are kept, and how they are mended along a step.
+"""Derivatives of predictions by parameters: how they are taken, kept, and mended along a step.
 
-Letters: C channels, P parameters.
+Letters: C channels, P parameters of effects, N tolerances.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.least_squares.parameters import bounds_of, is_number, params_of, scales, with_params
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.predict.tolerances import of_logs
 
 Array = NDArray[np.float64]
 
 Derivatives = Sequence[NDArray[np.floating]]
 """By some parameters, per scale, of each flight, (rows, C, P)."""
 
+STEP = 1e-3
+"""Difference step in units of a parameter's scale or of a tolerance."""
+
 
 def column_by_column(like: Array, parameters: int) -> Array:
     """Return zeros (rows, C, P) for a prediction (rows, C); neighbours in memory are rows, as they are written and read."""
     return np.zeros((parameters, *like.T.shape)).T
+
+
+def effect_jacobian(
+    predictor: Predictor,
+    point: ModelParams,
+    effects: Sequence[str],
+    base: list[Array],
+    *,
+    beside: list[Array] | None = None,
+) -> list[Array]:
+    """Return the derivative of the prediction by the effects' parameters, per scale, each (rows, C, P).
+
+    Those in ``beside`` (rows, C, N) come behind them.
+    """
+    here, scale = params_of(point, effects), scales(effects)
+    highest = bounds_of(predictor.robot, effects)[1]
+    owners = [(name, place) for name in effects for place in range(len(EFFECTS.get(name).parameters))]
+    width, behind = len(owners), [np.empty((*b.shape, 0)) for b in base] if beside is None else beside
+    found = [column_by_column(b, width + more.shape[2]) for b, more in zip(base, behind, strict=True)]
+    for columns, more in zip(found, behind, strict=True):
+        columns[:, :, width:] = more
+    for k, owner in enumerate(owners):
+        if not is_number(*owner):
+            continue
+        step = STEP * scale[k] if here[k] + STEP * scale[k] <= highest[k] else -STEP * scale[k]
+        there = here.copy()
+        there[k] += step
+        moved = predictor.predict(with_params(predictor.robot, point, effects, there))
+        for column, m, b in zip(found, moved, base, strict=True):
+            column[:, :, k] = (m - b) * (scale[k] / step)
+    return found
+
+
+def tolerance_jacobian(predictor: Predictor, point: ModelParams) -> list[Array]:
+    """Return the derivative of the prediction by the deviations, each (rows, C, N).
+
+    Half way to those of the point: times them it is what they change together, but for terms of third order. Deviations act on
+    each other: a sensor that is late is elsewhere than the motion says.
+    """
+    half = np.zeros(predictor.num_tolerances) if point.deviation is None else 0.5 * point.deviation
+    base = predictor.predict(replace(point, deviation=half if half.any() else None))
+    found = [column_by_column(b, predictor.num_tolerances) for b in base]
+    for k in range(predictor.num_tolerances):
+        deviation = half + STEP * np.eye(predictor.num_tolerances)[k]
+        moved = predictor.predict(replace(point, deviation=deviation))
+        for column, m, b in zip(found, moved, base, strict=True):
+            column[:, :, k] = (m - b) / STEP
+    return found
+
+
+def tolerated(predictor: Predictor, point: ModelParams) -> Array:
+    """Return the residual (rms) that the tolerances of the vehicle, and not those of its log, cause in each channel, (C,)."""
+    vehicle = np.logical_not(of_logs(predictor.robot.num_rotors))
+    parts = [part[:, :, vehicle] for part in tolerance_jacobian(predictor, point)]
+    return np.sqrt(np.concatenate([(part**2).sum(axis=2) for part in parts]).mean(axis=0))
 
 
 def change_along(columns: NDArray[np.floating], step: Array) -> Array:

@@ -6,7 +6,7 @@ Letters: B blocks, C channels, K parameters (those of effects in units of their 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,16 +15,16 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.least_squares.derivatives import (
     Derivatives,
-    column_by_column,
+    effect_jacobian,
     exact_along,
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_moments
 from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets
+from aerial_gym.sim2real.identify.least_squares.parameters import bounds_of, is_number, params_of, scales, with_params
 from aerial_gym.sim2real.identify.least_squares.weighted import Beside, Weighted, product_of
 from aerial_gym.sim2real.identify.least_squares.within_bounds import minimum_within
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.tolerances import of_logs
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -33,9 +33,6 @@ UNIT = np.ones(1)
 
 Frozen = frozenset[tuple[str, int]]
 """Parameters that stay as they are: effect, and place among its parameters."""
-
-STEP = 1e-3
-"""Difference step in units of a parameter's scale or of a tolerance."""
 
 WEAK_PRIOR = 100.0
 """Standard deviation of the effects' parameters in units of their scale: keeps a fit solvable where data are silent."""
@@ -128,92 +125,6 @@ class Goal:
     def missed(self, fit: Fit, more: float) -> bool:
         """Return whether a fit cannot come there, with ``more`` log likelihood than its derivatives promise."""
         return np.isfinite(more) and np.isfinite(self.least) and self.worth(fit) + more < self.least
-
-
-def is_number(effect: str, place: int) -> bool:
-    """Return whether a parameter is one that a fit may change: not the number of a rotor, nor a convention."""
-    return EFFECTS.get(effect).parameters[place].kind == "number"
-
-
-def scales(effects: Sequence[str]) -> Array:
-    """Return the scale of each parameter of some effects."""
-    return np.array([parameter.scale for name in effects for parameter in EFFECTS.get(name).parameters])
-
-
-def params_of(point: ModelParams, effects: Sequence[str]) -> Array:
-    """Return the parameters of some effects in a row."""
-    return np.concatenate([point.effects[name] for name in effects]) if effects else np.zeros(0)
-
-
-def bounds_of(robot: RobotCfg, effects: Sequence[str]) -> tuple[Array, Array]:
-    """Return the lowest and highest possible values of the parameters of some effects in a row."""
-    pairs = [pair for name in effects for pair in EFFECTS.get(name).bounds(robot)]
-    return np.array([low for low, _ in pairs]), np.array([high for _, high in pairs])
-
-
-def with_params(robot: RobotCfg, point: ModelParams, effects: Sequence[str], values: Array) -> ModelParams:
-    """Return the point with other parameters, held within their bounds."""
-    clipped, start = np.clip(values, *bounds_of(robot, effects)), 0
-    for name in effects:
-        width = len(EFFECTS.get(name).parameters)
-        point = point.with_effect(name, clipped[start : start + width])
-        start += width
-    return point
-
-
-def effect_jacobian(
-    predictor: Predictor,
-    point: ModelParams,
-    effects: Sequence[str],
-    base: list[Array],
-    *,
-    beside: list[Array] | None = None,
-) -> list[Array]:
-    """Return the derivative of the prediction by the effects' parameters, per scale, each (rows, C, P).
-
-    Those in ``beside`` (rows, C, N) come behind them.
-    """
-    here, scale = params_of(point, effects), scales(effects)
-    highest = bounds_of(predictor.robot, effects)[1]
-    owners = [(name, place) for name in effects for place in range(len(EFFECTS.get(name).parameters))]
-    width, behind = len(owners), [np.empty((*b.shape, 0)) for b in base] if beside is None else beside
-    found = [column_by_column(b, width + more.shape[2]) for b, more in zip(base, behind, strict=True)]
-    for columns, more in zip(found, behind, strict=True):
-        columns[:, :, width:] = more
-    for k, owner in enumerate(owners):
-        if not is_number(*owner):
-            continue
-        step = STEP * scale[k] if here[k] + STEP * scale[k] <= highest[k] else -STEP * scale[k]
-        there = here.copy()
-        there[k] += step
-        moved = predictor.predict(with_params(predictor.robot, point, effects, there))
-        for column, m, b in zip(found, moved, base, strict=True):
-            column[:, :, k] = (m - b) * (scale[k] / step)
-    return found
-
-
-def tolerance_jacobian(predictor: Predictor, point: ModelParams) -> list[Array]:
-    """Return the derivative of the prediction by the deviations, each (rows, C, N).
-
-    Half way to those of the point: times them it is what they change together, but for terms of third order. Deviations act on
-    each other: a sensor that is late is elsewhere than the motion says.
-    """
-    half = np.zeros(predictor.num_tolerances) if point.deviation is None else 0.5 * point.deviation
-    base = predictor.predict(replace(point, deviation=half if half.any() else None))
-    found = [column_by_column(b, predictor.num_tolerances) for b in base]
-    for k in range(predictor.num_tolerances):
-        deviation = half + STEP * np.eye(predictor.num_tolerances)[k]
-        moved = predictor.predict(replace(point, deviation=deviation))
-        for column, m, b in zip(found, moved, base, strict=True):
-            column[:, :, k] = (m - b) / STEP
-    return found
-
-
-def tolerated(predictor: Predictor, point: ModelParams) -> Array:
-    """Return the residual (rms) that the tolerances of the vehicle, and not those of its log, cause in each channel, (C,)."""
-    vehicle = np.logical_not(of_logs(predictor.robot.num_rotors))
-    parts = [part[:, :, vehicle] for part in tolerance_jacobian(predictor, point)]
-    return np.sqrt(np.concatenate([(part**2).sum(axis=2) for part in parts]).mean(axis=0))
 
 
 def prior_precision(fit: Fit) -> Array:

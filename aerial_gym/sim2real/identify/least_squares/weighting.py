@@ -6,15 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, change_along, exact_along
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
-    UNIT,
-    best_step,
-    fit_of_moments,
-    params_of,
-    scales,
-    with_params,
-)
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, best_step, fit_of_moments
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, weights_from
+from aerial_gym.sim2real.identify.least_squares.parameters import params_of, scales, with_params
 from aerial_gym.sim2real.identify.least_squares.weighted import Beside
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor

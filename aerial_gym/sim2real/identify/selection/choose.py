@@ -27,10 +27,8 @@ from aerial_gym.sim2real.identify.evidence.fitting import (
 from aerial_gym.sim2real.identify.evidence.laplace import Posterior, posterior
 from aerial_gym.sim2real.identify.evidence.linear import linear_about
 from aerial_gym.sim2real.identify.evidence.probabilities import inclusion_in, probabilities_of
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
-    effect_jacobian,
-    fit_of_moments,
-)
+from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_of_moments
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, flight_of_rows, time_groups
 from aerial_gym.sim2real.identify.selection.climb import Climber, View, reach_of
 from aerial_gym.sim2real.identify.selection.in_part import RivalInPart, rivals_in_part

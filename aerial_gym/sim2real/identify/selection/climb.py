@@ -36,8 +36,8 @@ from aerial_gym.sim2real.identify.evidence.guard import Guard, parts_of_a_flight
 from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.evidence.linear import candidates_of, normal_of
 from aerial_gym.sim2real.identify.evidence.search import Sets, search
-from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, single
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE, tolerance_jacobian
+from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, single, tolerance_jacobian
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.least_squares.weighting import weighting
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE

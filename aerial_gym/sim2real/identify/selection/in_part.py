@@ -17,12 +17,9 @@ from numpy.typing import NDArray
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.library import has_starts
 from aerial_gym.sim2real.identify.evidence.fitting import ENOUGH, Compared, Fitted, Fitter
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
-    WEAK_PRIOR,
-    effect_jacobian,
-    is_number,
-    scales,
-)
+from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import WEAK_PRIOR
+from aerial_gym.sim2real.identify.least_squares.parameters import is_number, scales
 from aerial_gym.sim2real.identify.selection.climb import FAR_BEHIND, reach_of
 from aerial_gym.sim2real.predict.model_params import ModelParams
 

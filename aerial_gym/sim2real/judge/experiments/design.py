@@ -18,16 +18,15 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects.arm_joint import ArmJoint
 from aerial_gym.sim2real.identify.candidates.library import starts
 from aerial_gym.sim2real.identify.candidates.testable import lacks
+from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     Fit,
     best_step,
-    effect_jacobian,
     fit_at,
-    is_number,
     normal_equations,
     prior_precision,
-    tolerance_jacobian,
 )
+from aerial_gym.sim2real.identify.least_squares.parameters import is_number
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.select import Rival, Selection
 from aerial_gym.sim2real.judge.experiments.manoeuvres import MANOEUVRES, SPAN_S, fly

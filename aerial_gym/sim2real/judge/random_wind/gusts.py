@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
+from aerial_gym.sim2real.judge.outcome import NOTHING_NAMED
 from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
     CORR_TIMES,
     Series,
@@ -89,8 +90,9 @@ class RandomWind:
         kind, reason, candidates = made
         if not self.accepted:
             return made
-        if kind == "none":
-            return "explained", "the flights show gusts; what remains is near the noise floor with them", (NAME,)
+        if kind in NOTHING_NAMED:
+            near = "what remains is near the noise floor with them" if kind == "none" else reason
+            return "explained", f"the flights show gusts; {near}", (NAME,)
         return kind, f"{reason}; beside it the flights show gusts", (*candidates, NAME)
 
     def named(self) -> NamedEffect:

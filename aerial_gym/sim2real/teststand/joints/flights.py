@@ -15,6 +15,7 @@ from aerial_gym.config.joint import SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.sim2real.judge.analysis import Judged
+from aerial_gym.sim2real.judge.outcome import NOTHING_NAMED
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import uniform_log
 from aerial_gym.sim2real.progress import Progress, silent
@@ -131,8 +132,8 @@ def with_joints(judged: Judged, found: FoundJoints) -> Judged:
     told = "; ".join(joint.sentence for joint in found.named)
     verdict = replace(
         judged.verdict,
-        verdict="explained" if told and judged.verdict.verdict == "none" else judged.verdict.verdict,
-        reason=f"{told}; as a rigid vehicle: {judged.verdict.reason}" if told else judged.verdict.reason,
+        verdict="explained" if told and judged.verdict.verdict in NOTHING_NAMED else judged.verdict.verdict,
+        reason=judged.verdict.told_before(f"{told}; as a rigid vehicle: ") if told else judged.verdict.reason,
         joints=tuple(joint.as_mapping() for joint in found.joints),
         notes=(*found.notes, *judged.verdict.notes),
     )

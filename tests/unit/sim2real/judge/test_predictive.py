@@ -10,7 +10,8 @@ import pytest
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.interop import one_thread
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise, tolerance_jacobian
+from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise
 from aerial_gym.sim2real.identify.least_squares.moments import weights_from
 from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets, no_offsets
 from aerial_gym.sim2real.identify.selection.scoring import Criteria

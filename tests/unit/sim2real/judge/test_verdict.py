@@ -12,12 +12,13 @@ from aerial_gym.sim2real.identify.least_squares.moments import block_moments
 from aerial_gym.sim2real.judge import verdict
 from aerial_gym.sim2real.judge.analysis import about_logs, not_testable
 from aerial_gym.sim2real.judge.evaluation import evaluate, missing_for_rollouts
-from aerial_gym.sim2real.judge.outcome import meaning
+from aerial_gym.sim2real.judge.outcome import Outcome, meaning, said_first
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
+from aerial_gym.sim2real.statistics import Rise
 from tests.unit.sim2real.fitted_sets import chosen_of, fitted, selection_of
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
@@ -60,8 +61,12 @@ def test_what_training_leaves_open_is_not_called_noise(monkeypatch: pytest.Monke
     assert kind == "none"
     assert reason.endswith("within noise and tolerances; each flight has an offset of its own in specific_force.x")
     kind, reason, _ = verdict.decide(nothing, (), True, left_open=("angular_acceleration.z",))  # type: ignore[arg-type]
-    assert kind == "none"
-    assert reason.endswith("what the training flights do not show remains in angular_acceleration.z")
+    assert kind == "not shown"
+    assert reason == (
+        "the flights show no registered effect; what remains in angular_acceleration.z is no more than the training flights "
+        "leave open"
+    )
+    assert "as far as the training flights show it" in meaning(kind, [])
 
 
 def test_nobody_is_sent_to_fly_for_arms_that_a_vehicle_does_not_have() -> None:
@@ -121,3 +126,16 @@ def test_an_effect_is_as_sure_as_the_sets_that_hold_it_are_probable(behind: floa
     assert named.confidence == pytest.approx(confidence)
     assert named.confidence == min(selection.chosen.inclusion["rotor_drag"], verdict.MOST_CONFIDENT)
     assert list(named.std) == ["dx", "dy", "dz"]
+
+
+@pytest.mark.parametrize("harm", [True, False])
+def test_what_gets_worse_is_said_before_what_failed(harm: bool) -> None:
+    rise = Rise(value=0.62, low=0.4, high=0.9)
+    worse = (Outcome(name="force", about="force", where="", rise=rise, least=0.05),) if harm else ()
+    first = said_first(worse)
+    reason = "; ".join(part for part in (first, "the flights show rotor_drag") if part)
+    found = verdict.Verdict.told_before(SimpleNamespace(outcomes=worse, reason=reason), "rotor 2 stops; up to then: ")  # type: ignore[arg-type]
+    assert first.startswith("worse on the test flights: force") is harm
+    assert found == "; ".join(
+        part for part in (first, "rotor 2 stops; up to then: the flights show rotor_drag") if part
+    )

@@ -16,12 +16,8 @@ from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.rigid_body import Acting, acting_in
 from aerial_gym.sim2real.identify.candidates.testable import lacks
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
-    effect_jacobian,
-    linearise,
-    normal_equations,
-    tolerance_jacobian,
-)
+from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise, normal_equations
 from aerial_gym.sim2real.identify.least_squares.moments import weights_from
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight, load_flights
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log

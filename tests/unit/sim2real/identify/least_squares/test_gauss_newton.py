@@ -8,14 +8,8 @@ import pytest
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real.identify.least_squares import gauss_newton
 from aerial_gym.sim2real.identify.least_squares.covariance import uncertainty
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
-    Fit,
-    Goal,
-    best_step,
-    effect_jacobian,
-    fit_effects,
-    misfit,
-)
+from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, Goal, best_step, fit_effects, misfit
 from aerial_gym.sim2real.identify.least_squares.moments import (
     block_length,
     block_moments,

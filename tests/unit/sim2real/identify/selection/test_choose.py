@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted, Fitter
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import scales
+from aerial_gym.sim2real.identify.least_squares.parameters import scales
 from aerial_gym.sim2real.identify.selection.choose import Chosen, _Chooser, choose_effects, narrowest
 from aerial_gym.sim2real.identify.selection.climb import Climber
 from aerial_gym.sim2real.identify.selection.scoring import Criteria

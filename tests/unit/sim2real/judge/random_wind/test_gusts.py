@@ -179,6 +179,8 @@ def test_a_wind_is_seen_through_the_drag_of_the_model() -> None:
     assert named.confidence > 0.999
     assert found.decision(("none", "", ())) == ("explained", found.decision(("none", "", ()))[1], ("gusts",))
     assert found.decision(("unexplained", "more", ("com_offset",)))[2] == ("com_offset", "gusts")
+    open_yet = ("explained", "the flights show gusts; more is open", ("gusts",))
+    assert found.decision(("not shown", "more is open", ())) == open_yet
     assert "lower no residual" in found.notes[0]
 
 

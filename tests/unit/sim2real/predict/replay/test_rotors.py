@@ -13,7 +13,8 @@ from aerial_gym.errors import DataError, ShapeError
 from aerial_gym.physics import EFFECTS, Model, build_model, vehicle_from_config
 from aerial_gym.sim2real.identify.battery import with_battery
 from aerial_gym.sim2real.identify.candidates.testable import lacks
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_effects, tolerance_jacobian
+from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_effects
 from aerial_gym.sim2real.identify.least_squares.weighted import Beside
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
