@@ -82,6 +82,24 @@ def test_accelerations_of_random_trees_are_those_of_mujoco(num_joints: int, chai
             np.testing.assert_allclose(ours[env].numpy(), expected, rtol=0.0, atol=1e-8 * np.abs(expected).max())
 
 
+@pytest.mark.parametrize("floating", [True, False])
+@pytest.mark.parametrize("chain", [False, True])
+def test_their_inverse_dynamics_give_back_the_efforts_of_our_accelerations(chain: bool, floating: bool) -> None:
+    """Forward here, inverse there (``mj_inverse``): the efforts of joints, and nothing on a base that is free."""
+    tree = random_tree(9, 5, floating=floating, chain=chain)
+    links, state = random_links(tree, 1, 5), random_motion(tree, 1, 5)
+    state = state if floating else level(state)
+    effort = torch.randn(1, 9, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
+    found = accelerations(tree, links, state, gravity=G, effort=effort)
+    theirs = Theirs(tree, links, state, 0)
+    theirs.data.qacc[theirs.rate] = found.joint_acc[0].numpy()
+    if floating:
+        theirs.data.qacc[:6] = torch.cat((found.lin_acc, found.ang_acc), dim=-1)[0].numpy()
+    mujoco.mj_inverse(theirs.model, theirs.data)
+    expected = torch.cat((torch.zeros(6 if floating else 0, dtype=torch.float64), effort[0])).numpy()
+    np.testing.assert_allclose(theirs.in_our_order(theirs.data.qfrc_inverse), expected, atol=1e-9)
+
+
 @pytest.mark.parametrize("chain", [False, True])
 def test_the_mass_matrix_is_that_of_mujoco(chain: bool) -> None:
     """Ours has the velocity of the base in its own axes, theirs in the world's: the same after a turn."""
