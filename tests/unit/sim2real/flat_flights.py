@@ -59,6 +59,7 @@ def flight(
     spring: float = 0.0,
     thrust_scale: float = 1.0,
     fading: float = 0.0,
+    outside: Array | float = 0.0,
     noise: float = 0.0,
     seconds: float = 12.0,
     rate: float = 200.0,
@@ -68,7 +69,8 @@ def flight(
     In the columns of the contract, without commands.
 
     ``cubic`` is a drag ``-c |v|² v`` [N s³/m³], ``spring`` a pull ``-k x`` along the world's x [N/m], ``fading`` the share of
-    their thrust that rotors lose evenly up to the end of the flight: no effect has them.
+    their thrust that rotors lose evenly up to the end of the flight: no effect has them. ``outside`` is any other force, world,
+    (T, 3) [N].
     ``noise`` scales: accelerometer 0.05 m/s², gyro 0.003 rad/s, rotors 0.3 %.
     """
     rng, body = np.random.default_rng(seed), ROBOT.body
@@ -79,6 +81,7 @@ def flight(
     force = body.mass * (acceleration + GRAVITY) + drag * (velocity - wind)
     force += cubic * (velocity**2).sum(axis=1, keepdims=True) * velocity
     force[:, 0] += spring * place[:, 0]
+    force -= outside
     up = force / np.linalg.norm(force, axis=1, keepdims=True)
     ahead = np.stack((np.cos(heading), np.sin(heading), np.zeros_like(heading)), axis=1)
     left = np.cross(up, ahead)

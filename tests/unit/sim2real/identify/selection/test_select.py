@@ -107,6 +107,28 @@ def test_thrust_and_mass_are_told_by_torques_as_far_as_the_inertia_is_known(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("width", [0.04, 0.8])
+def test_a_wake_is_found_whatever_its_width(width: float, tmp_path: Path) -> None:
+    """0.6 N below a vehicle that flies along, up to two widths aside along each axis; the fit starts at 0.3 m."""
+    flights, time = [], np.arange(1200) / 100.0
+    for seed in range(4):
+        away = 2.0 * width * np.sin(2.0 * np.pi * np.outer(time, (0.31, 0.47)) + seed)
+        push = -0.6 * np.exp(-0.5 * (away**2).sum(axis=1) / width**2)
+        table = flight(seed, rate=100.0, noise=1.0, outside=np.outer(push, (0.0, 0.0, 1.0)))
+        path = write(table, tmp_path / f"{seed}.csv")
+        (read,) = load_flights([path], ROBOT, mapping=None, bandwidth=10.0)
+        assert read.position is not None
+        flights.append(replace(read, other_position=read.position + np.column_stack((away, np.ones(1200)))))
+    predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
+    names = ("downwash", "thrust_coefficient", "rotor_drag")
+    found = select_effects(predictor, declared_params(ROBOT), Criteria(), candidates=names)
+    assert found.accepted == ("downwash",)
+    force, sigma = found.final.fit.point.effects["downwash"]
+    assert force == pytest.approx(0.6, rel=0.1)
+    assert sigma == pytest.approx(width, rel=0.1)
+
+
+@pytest.mark.slow
 def test_a_steady_wind_is_not_called_a_shear_that_hardly_grows(tmp_path: Path) -> None:
     """Between 4 and 6 m a shear with a small power is a constant wind; the wider of two cases is no rival."""
     drag = {"dx": 0.3, "dy": 0.3, "dz": 0.3}
