@@ -45,6 +45,9 @@ class CloseLoopCmd:
     effects: tuple[str, ...] | None = None
     """Effects that are looked for; if not given all but blade_element and vortex_ring (docs/rotors.md)."""
 
+    material: float = 0.05
+    """An effect is named if a residual rises by this share without it, or may: its interval counts."""
+
     seed: int = 0
     """Seed of the resampling behind the 95 % intervals."""
 
@@ -71,8 +74,10 @@ class CloseLoopCmd:
         """Run the loop and print the verdict; return the exit status."""
         from aerial_gym.config import load
         from aerial_gym.sim2real import close_loop
+        from aerial_gym.sim2real.identify.selection.scoring import Criteria
         from aerial_gym.sim2real.predict.tolerances import Tolerances
 
+        criteria = Criteria(material=self.material)
         tolerances = None if self.tolerances is None else load(Tolerances, self.tolerances)
         with progress_bar() as progress:
             verdict = close_loop(
@@ -83,6 +88,7 @@ class CloseLoopCmd:
                 mapping=self.mapping,
                 bandwidth=self.bandwidth_hz,
                 seed=self.seed,
+                criteria=criteria,
                 tolerances=tolerances,
                 effects=self.effects,
                 failures=self.failures,

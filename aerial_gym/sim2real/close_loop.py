@@ -6,19 +6,20 @@ from dataclasses import replace
 from pathlib import Path
 
 from aerial_gym.config import dump_yaml
+from aerial_gym.config.robot import RobotCfg
 from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import one_thread
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.in_memory import judge_flights
 from aerial_gym.sim2real.judge.verdict import Verdict
-from aerial_gym.sim2real.logs.inputs import read_inputs
+from aerial_gym.sim2real.logs.inputs import Inputs, read_inputs
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.report.ranges import with_found_ranges
 from aerial_gym.sim2real.report.run_folder import check_out_dir, whole_folder, write_record
-from aerial_gym.sim2real.teststand.joints.flights import BANDWIDTH_HZ, OF_RATE, find_joints, with_joints
+from aerial_gym.sim2real.teststand.joints.flights import BANDWIDTH_HZ, OF_RATE, FoundJoints, find_joints, with_joints
 
 
 def close_loop(
@@ -44,7 +45,7 @@ def close_loop(
     Args:
         robot: Registered robot, or a robot file.
         train: Logs to fit on.
-        test: Logs to judge on; no fit sees them. All logs are read at the start, and not again.
+        test: Logs to judge on; no fit sees them. All logs are read at the start, for joints once more.
         out_dir: Folder of the results; it appears when all is done, and not at all if something fails.
         mapping: Name or file of a log mapping; None for logs of this package's layout.
         bandwidth: Residuals are compared below it [Hz].
@@ -76,12 +77,8 @@ def close_loop(
         inputs = read_inputs(declared, train, test, mapping=layout, bandwidth=bandwidth)
         for sentence in inputs.left_out:
             progress(sentence, 0.0)
-        found = None
-        if joints:
-            used, rate = [Path(flight.path) for flight in inputs.train], min(flight.rate for flight in inputs.train)
-            band = min(BANDWIDTH_HZ, OF_RATE * rate)
-            found = find_joints(declared, used, bandwidth=band, progress=progress)
-        judged = judge_flights(
+        found = _found_joints(declared, inputs, progress) if joints else None
+        alone = judge_flights(
             declared,
             inputs.train,
             inputs.test,
@@ -94,11 +91,9 @@ def close_loop(
             learn_residual=learn_residual,
             progress=progress,
         )
-        verdict = replace(judged.verdict, notes=(*inputs.left_out, *judged.verdict.notes))
-        judged = replace(judged, verdict=verdict)
-        if found is not None:
-            judged = with_joints(judged, found)
-            verdict = judged.verdict
+        told = replace(alone, verdict=replace(alone.verdict, notes=(*inputs.left_out, *alone.verdict.notes)))
+        judged = told if found is None else with_joints(told, found)
+        verdict = judged.verdict
         corrected = with_found_ranges(judged.corrected, verdict.effects) if ranges else judged.corrected
         progress("writing the report", 0.97)
         config = {
@@ -125,3 +120,9 @@ def close_loop(
             write_record(folder, config, inputs.digests)
     progress("done", 1.0)
     return verdict
+
+
+def _found_joints(robot: RobotCfg, inputs: Inputs, progress: Progress) -> FoundJoints:
+    """Return what the training flights say of the joints."""
+    used, rate = [Path(flight.path) for flight in inputs.train], min(flight.rate for flight in inputs.train)
+    return find_joints(robot, used, bandwidth=min(BANDWIDTH_HZ, OF_RATE * rate), progress=progress)

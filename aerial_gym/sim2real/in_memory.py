@@ -40,11 +40,11 @@ def judge_flights(
     """
     if learn_residual:
         check_rotors(LearnedResidual, robot.rotor_traits)
-    flights, tolerances = [*train, *test], tolerances or Tolerances()
-    finder = FailureFinder(robot, tolerances=tolerances)
+    flights, off = [*train, *test], tolerances or Tolerances()
+    finder = FailureFinder(robot, tolerances=off)
     told = [found for flight in flights if failures and (found := finder.first_in(flight)) is not None]
-    train, test = (_left_of(role, part, told) for role, part in (("train", train), ("test", test)))
-    declared = declare(robot, train, test, bandwidth=bandwidth, tolerances=tolerances)
+    learnt, judging = (_left_of(role, part, told) for role, part in (("train", train), ("test", test)))
+    declared = declare(robot, learnt, judging, bandwidth=bandwidth, tolerances=off)
     selected = select(declared, criteria or Criteria(), progress, candidates=effects)
     give_back_memory()
     refitted = refit(selected, progress=progress)

@@ -6,6 +6,8 @@ import pytest
 
 from aerial_gym import __version__
 from aerial_gym.cli.main import COMMANDS, main
+from aerial_gym.errors import ConfigError
+from aerial_gym.sim2real.identify.selection.scoring import Criteria
 
 
 def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
@@ -97,6 +99,20 @@ def test_wrong_requests_end_with_status_2_and_one_sentence(
     assert out == ""
     assert message in err
     assert "Traceback" not in err
+
+
+def test_what_is_material_is_handed_on(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    given = []
+
+    def looked_at(*_: object, criteria: Criteria, **__: object) -> None:
+        given.append(criteria)
+        raise ConfigError("seen")
+
+    monkeypatch.setattr("aerial_gym.sim2real.close_loop", looked_at)
+    call = ("close-loop", "--robot", "tinyprop", "--train", "a.csv", "--test", "b.csv", "--out", "never")
+    for more, material in ((("--material", "0.2"), 0.2), ((), Criteria().material)):
+        assert run(capsys, *call, *more)[0] == 2
+        assert given[-1] == Criteria(material=material)
 
 
 def test_unknown_flag_ends_with_status_2(capsys: pytest.CaptureFixture[str]) -> None:

@@ -296,6 +296,7 @@ def test_the_command_refuses(folder: Path, call: list[str], capsys: pytest.Captu
         ([*call, "--out", str(folder / "new"), "--tolerances", str(known)], "mas"),
         ([*call, "--out", str(folder / "new"), "--effects", "rotor_dragg"], "Did you mean 'rotor_drag'"),
         ([*call, "--out", str(folder / "new"), "--effects", "gusts"], "gusts is random"),
+        ([*call, "--out", str(folder / "new"), "--material", "5"], "material = 5.0: must lie in [0, 1)"),
         (["replay", robot, str(folder / "none.csv")], "none.csv: no such file"),
     ):
         assert main(arguments) == 2, arguments

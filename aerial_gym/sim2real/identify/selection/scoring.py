@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
+from aerial_gym.errors import ConfigError
 from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit
 from aerial_gym.sim2real.identify.least_squares.leave_out import steps_without
@@ -49,6 +50,11 @@ class Criteria:
 
     forgiven: float = 0.1
     """Share of its whole gain in log likelihood that an effect may lose in a channel, and it is no harm."""
+
+    def __post_init__(self) -> None:
+        """Raise ``ConfigError`` if what is material is no share."""
+        if not 0.0 <= self.material < 1.0:
+            raise ConfigError(f"material = {self.material}: must lie in [0, 1), a share of a residual")
 
 
 @dataclass(frozen=True, kw_only=True)
