@@ -67,5 +67,5 @@ class ExportCmd:
         return int(any((each.largest_difference or 0.0) > AGREES for each in found))
 
 
-AGREES = 1e-4
-"""A command or action further from that of torch is none of rounding."""
+AGREES = 1e-5
+"""An action, command or latent further from that of torch is not taken for rounding."""

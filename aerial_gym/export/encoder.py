@@ -71,8 +71,12 @@ def _runner(encoder: Encoder, file: Path) -> Callable[[Tensor], Tensor]:
 def difference_of_encoder(encoder: Encoder, file: Path) -> float:
     """Return how far latents of a file are from those of torch at most, over ``CHECKED`` random images.
 
+    As a share of the largest latent, if that is above 1: all are sums of terms of its size.
+
     Raises:
         CapabilityError: If what runs the file is missing.
     """
     images = torch.rand(CHECKED, encoder.seen.rows, encoder.seen.columns, generator=torch.Generator().manual_seed(0))
-    return float((encoder(images) - _runner(encoder, file)(images)).abs().max())
+    latents = encoder(images)
+    off = (latents - _runner(encoder, file)(images)).abs().max()
+    return float(off / latents.abs().max().clamp_min(1.0))
