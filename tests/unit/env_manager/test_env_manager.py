@@ -30,10 +30,16 @@ def fly(env: EnvManager, steps: int = 5) -> None:
         env.step(torch.tensor([1.0, 0.2 * i, 0.1, 0.3]).expand(env.num_envs, 4))
 
 
-@pytest.mark.parametrize("env_name", ENVIRONMENTS.names())
-def test_all_states_belong_to_the_same_instant(env_name: str) -> None:
+@pytest.mark.parametrize(
+    ("env_name", "robot_name"),
+    [
+        *((name, "base_quadrotor") for name in ENVIRONMENTS.names()),
+        pytest.param("empty_env", "morphy", marks=pytest.mark.slow),
+    ],
+)
+def test_all_states_belong_to_the_same_instant(env_name: str, robot_name: str) -> None:
     """After a step and a reset by mask, body velocities and angles follow from the pose and world velocities."""
-    env = build(env_name=env_name)
+    env = build(env_name=env_name, robot_name=robot_name)
     fly(env)
     env.reset(torch.tensor([True, False, False, True]))
     gtd = env.gtd
