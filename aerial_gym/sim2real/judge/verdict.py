@@ -173,8 +173,11 @@ class Verdict:
     def meaning(self) -> str:
         """What it tells its reader."""
         beside = (self.failures or self.differing_joints) and not self.effects
-        kind = "none" if beside and self.verdict == "explained" else self.verdict
+        kind, nothing = self.verdict, NOT_SHOWN if self.not_shown else "none"
+        kind = nothing if beside and kind == "explained" else kind
         told = meaning(kind, self.outcomes, {effect.name: effect.ties for effect in self.effects})
+        if self.not_shown and kind != NOT_SHOWN:
+            told += f" What more the test flights hold in {', '.join(self.not_shown)} the training flights leave open."
         if self.differing_joints:
             told += " This is said of the vehicle as a rigid one; the springs of its joints were fitted by themselves."
         names = ", ".join(failure.flight for failure in self.failures)

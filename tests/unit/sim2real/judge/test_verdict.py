@@ -139,3 +139,20 @@ def test_what_gets_worse_is_said_before_what_failed(harm: bool) -> None:
     assert found == "; ".join(
         part for part in (first, "rotor 2 stops; up to then: the flights show rotor_drag") if part
     )
+
+
+@pytest.mark.parametrize("failed", [True, False])
+def test_what_is_not_shown_is_not_said_to_be_explained(failed: bool) -> None:
+    """Where a failure alone is told, the declared vehicle is not said to make all; beside a name it is said what is open."""
+    left = ("angular_acceleration.z",)
+    failures = (SimpleNamespace(flight="train_1"),) if failed else ()
+    effects = () if failed else (SimpleNamespace(name="rotor_drag", ties=()),)
+    told = SimpleNamespace(
+        verdict="explained", failures=failures, differing_joints=[], effects=effects, outcomes=(), not_shown=left
+    )
+    text = verdict.Verdict.meaning.fget(told)  # type: ignore[attr-defined]
+    assert ("as far as the training flights show it" in text) is failed
+    assert ("in angular_acceleration.z the training flights leave open" in text) is not failed
+    assert "nothing is to be corrected" not in text
+    told.not_shown = ()
+    assert "open" not in verdict.Verdict.meaning.fget(told)  # type: ignore[attr-defined]

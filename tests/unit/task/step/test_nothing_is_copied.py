@@ -10,6 +10,7 @@ from aerial_gym import SimBuilder, task_registry
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.task_terms import ActionCfg
 from aerial_gym.task import Task
+from tests.unit.task.step.test_capturable import LIKE_OTHERS
 
 RANDOMIZE = {
     "body.mass": RandomizeCfg(low=0.8, high=1.2),
@@ -19,9 +20,6 @@ RANDOMIZE = {
     "gains.velocity": RandomizeCfg(low=0.9, high=1.1),
 }
 
-
-LIKE_OTHERS = ("radar_navigation_task", "radar_navigation_task_held", "position_setpoint_task_reconfigurable")
-"""Their terms are those of ``lidar_navigation_task``, whose rays are others, and of ``position_setpoint_task_morphy``."""
 
 DRAWN = ("position_setpoint_task", "racing_task", "any_quadrotor_task")
 """Tasks of one kind each that are tried with drawn parameters as well."""
