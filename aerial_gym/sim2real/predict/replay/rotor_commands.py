@@ -15,9 +15,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
 from aerial_gym.physics import EFFECTS, Model, build_model
-from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect
+from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect, VehicleEffect
+from aerial_gym.physics.effects.one_rotor import declared_lag
 from aerial_gym.physics.rotor_lag import stop_in_dead_band
 from aerial_gym.sim2real.logs.flights import Flight, names_of
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -114,3 +116,21 @@ def too_steady(effect: Effect, flights: Sequence[Flight]) -> str:
     if high - low >= LEAST_VARIATION * middle:
         return ""
     return f"the battery voltage varies by {(high - low) / middle:.1%} in these flights; needed: {effect.excitation}"
+
+
+def too_coarse(effect: Effect, robot: RobotCfg, flights: Sequence[Flight]) -> str:
+    """Return why the rows of commanded flights are too far apart to show an effect; empty if they are not.
+
+    What an autopilot commands between two rows is not logged. Rotors that follow within a row have followed that, too, and a
+    lag fitted to the rows alone makes up for it.
+    """
+    rates = [flight.rate for flight in flights if flight.rotor_command is not None]
+    if effect.kind is not VehicleEffect or effect.acts_on != "actuation" or not rates:
+        return ""
+    row, lag = 1.0 / min(rates), min(declared_lag(robot))
+    if row < lag:
+        return ""
+    return (
+        f"commands are logged every {1e3 * row:.3g} ms and the declared rotors follow within {1e3 * lag:.3g} ms: what they "
+        "followed between two rows is not known; log commands faster than that"
+    )

@@ -22,6 +22,21 @@ def test_what_torques_tell_is_not_looked_for_where_none_are_compared(name: str) 
     assert lacks("rotor_drag", ROBOT, [without]) == ""
 
 
+@pytest.mark.parametrize("name", ["motor_time_constant", "motor_asymmetry"])
+def test_a_lag_is_not_looked_for_in_commands_logged_more_slowly_than_rotors_follow(name: str) -> None:
+    """40 ms declared: rows of 25 and of 50 Hz. Delays and gains, and lags of flights without commands, are other matters."""
+    flight = hover("a", 5.0)
+    slow, quick = (
+        replace(flight, rate=rate, rotor_command=np.full((flight.num_rows, 4), 900.0)) for rate in (25.0, 50.0)
+    )
+    assert lacks(name, ROBOT, [quick]) == ""
+    assert "commands are logged every 40 ms and the declared rotors follow within 40 ms" in lacks(
+        name, ROBOT, [quick, slow]
+    )
+    assert lacks("actuation_delay", ROBOT, [slow]) == lacks("thrust_coefficient", ROBOT, [slow]) == ""
+    assert lacks(name, ROBOT, [replace(slow, rotor_command=None)]) == ""
+
+
 def test_a_parameter_that_ends_where_physics_does_is_told() -> None:
     """A drag of 0 along y is where the effect begins, a bound of an inertia is not."""
     neutral = np.ones(3)
