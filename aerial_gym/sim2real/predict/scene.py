@@ -14,12 +14,12 @@ from torch import Tensor
 
 from aerial_gym.errors import DataError
 from aerial_gym.physics import EFFECTS
-from aerial_gym.physics.effects import LoadEffect
+from aerial_gym.physics.effects import LoadEffect, WindEffect
 from aerial_gym.sim2real.logs.flights import Flight, names_of
 
 NEEDED = {
     "position": "a position (columns p_x, p_y, p_z)",
-    "lin_vel": "velocity or position (a load swings as its vehicle moves)",
+    "lin_vel": "velocity or position (a load swings as its vehicle moves, and air acts by the speed through it)",
     "ceiling_height": "the height of the ceiling (column ceiling_z; a high one where there is none)",
     "other_position": "the position of the other vehicle (columns other_p_x, other_p_y, other_p_z, or its own log)",
 }
@@ -36,7 +36,21 @@ class Heights(TypedDict):
 def lacks_of_scene(name: str, flights: Sequence[Flight]) -> str:
     """Return what of its scene the flights lack for an effect; empty if nothing."""
     effect = EFFECTS.get(name)
-    for need in (*effect.needs, *(("lin_vel",) if effect.kind is LoadEffect else ())):
+    return _without((*effect.needs, *(("lin_vel",) if effect.kind is LoadEffect else ())), flights)
+
+
+def lacks_of_air(name: str, flights: Sequence[Flight]) -> str:
+    """Return why the flights do not tell what the air does; empty if they do, or if the effect is none of the air.
+
+    A declared effect acts all the same, on the speed of the hubs as the vehicle turns. To look for one by that alone would
+    call air what is anything else.
+    """
+    effect = EFFECTS.get(name)
+    return _without(("lin_vel",) if effect.kind is WindEffect or "velocity" in effect.follows else (), flights)
+
+
+def _without(needs: Sequence[str], flights: Sequence[Flight]) -> str:
+    for need in needs:
         without = [flight for flight in flights if getattr(flight, need) is None]
         if without:
             return f"{names_of(without, flights)}: without {NEEDED[need]}"

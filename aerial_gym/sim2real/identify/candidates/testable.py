@@ -13,7 +13,7 @@ from aerial_gym.physics.model import check_joints, check_rotors
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.replay.rotor_commands import missing_in_logs, too_coarse, too_steady
-from aerial_gym.sim2real.predict.scene import lacks_of_scene
+from aerial_gym.sim2real.predict.scene import lacks_of_air, lacks_of_scene
 
 Array = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Fl
         return (
             "forces alone do not tell it from a drag or a misaligned sensor: torques are not compared in these flights"
         )
-    if reason := missing_in_logs(effect, flights) or lacks_of_scene(name, flights):
+    if reason := missing_in_logs(effect, flights) or lacks_of_scene(name, flights) or lacks_of_air(name, flights):
         return reason
     if reason := too_steady(effect, train) or too_coarse(effect, robot, train):
         return reason

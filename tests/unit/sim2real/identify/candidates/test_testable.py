@@ -37,6 +37,15 @@ def test_a_lag_is_not_looked_for_in_commands_logged_more_slowly_than_rotors_foll
     assert lacks(name, ROBOT, [replace(slow, rotor_command=None)]) == ""
 
 
+@pytest.mark.parametrize("name", ["rotor_drag", "h_force_flapping", "axial_inflow", "constant_wind"])
+def test_what_air_does_is_not_looked_for_where_the_speed_through_it_is_unknown(name: str) -> None:
+    """Hubs move as a vehicle turns, and that alone would fit them a coefficient."""
+    whole = hover("a", 5.0)
+    assert lacks(name, ROBOT, [whole]) == ""
+    assert "without velocity or position" in lacks(name, ROBOT, [whole, replace(whole, lin_vel=None)])
+    assert lacks("thrust_coefficient", ROBOT, [replace(whole, lin_vel=None)]) == ""
+
+
 def test_a_parameter_that_ends_where_physics_does_is_told() -> None:
     """A drag of 0 along y is where the effect begins, a bound of an inertia is not."""
     neutral = np.ones(3)
