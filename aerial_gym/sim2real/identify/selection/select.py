@@ -93,8 +93,8 @@ class Selection:
             if name in fitted.effects:
                 continue
             odds = (fitted.log_posterior - best.log_posterior) / best.overdispersion
-            for other in fitted.effects:
-                if other not in best.effects and other not in found:
+            for other in in_place_of(name, best.effects, fitted.effects):
+                if other not in found:
                     wider = name in EFFECTS.get(other).contains
                     found[other] = Rival(effect=other, fitted=fitted, log_odds=odds, wider=wider)
         return list(found.values())
@@ -102,6 +102,18 @@ class Selection:
     def ties_of(self, name: str) -> list[Rival]:
         """Return those that cannot be told from it; what contains it is no other cause."""
         return [rival for rival in self.rivals_of(name) if not rival.told_apart and not rival.wider]
+
+
+def in_place_of(name: str, best: Sequence[str], other: Sequence[str]) -> list[str]:
+    """Return which effects of another set stand where a named one does in the best: its wider or narrower case if there is
+    one, else those that are no case of what else the other set lacks.
+    """
+    lacking, new = [one for one in best if one not in other], [one for one in other if one not in best]
+    cases = {
+        one: [case for case in new if one in EFFECTS.get(case).contains or case in EFFECTS.get(one).contains]
+        for one in lacking
+    }
+    return cases[name] or [one for one in new if not any(one in of for of in cases.values())]
 
 
 def select_effects(

@@ -172,6 +172,15 @@ def test_a_wider_case_is_a_rival_and_no_tie() -> None:
     assert (narrow.effect, narrow.wider) == ("constant_wind", False)
 
 
+def test_what_stands_beside_a_wider_case_replaces_what_else_is_lacking() -> None:
+    """Two lags in place of one are that lag; the tilt beside them is no other cause of it, but of the bias."""
+    best = fitted("motor_time_constant", "imu_bias", log=-10.0)
+    found = selection_of(chosen_of(best, fitted("motor_asymmetry", "motor_tilt", log=-10.5)))
+    assert [rival.effect for rival in found.rivals_of("motor_time_constant")] == ["motor_asymmetry"]
+    assert found.ties_of("motor_time_constant") == []
+    assert [rival.effect for rival in found.ties_of("imu_bias")] == ["motor_tilt"]
+
+
 def test_only_effects_that_can_be_looked_for_are(tmp_path: Path) -> None:
     """An unknown, a random and one under water are refused, before anything is fitted; gusts are found in what remains."""
     predictor = predictor_of(tmp_path, [flight(1, seconds=4.0, rate=100.0)])
