@@ -77,7 +77,7 @@ def test_the_loop_names_a_failure_of_one_flight_beside_an_effect_of_all(coarser_
     assert [effect["name"] for effect in verdict["effects"]] == ["com_offset"]
     assert [(one["flight"], one["name"]) for one in verdict["failures"]] == [("train_2", "motor_failure")]
     assert verdict["failures"][0]["params"] == pytest.approx({"motor": 3, "scale": 0.85, "time": 5.0}, abs=0.02)
-    assert verdict["reason"].startswith("train_2: rotor 3 follows")
+    assert "train_2: rotor 3 follows" in verdict["reason"]  # behind what got worse on test flights, if anything did
     assert "motor_failure" not in robot_by_name(tmp_path / "out" / "robot.yaml").effects
 
 
