@@ -29,7 +29,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
 from aerial_gym.sim2real.identify.least_squares.parameters import bounds_of, is_number, params_of, scales, with_params
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.model_params import ModelParams, key_of
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.replay.rotor_commands import is_commanded, what_moves_commands, with_arriving_commands
 from aerial_gym.sim2real.predict.rollout import Batch
@@ -124,6 +124,10 @@ class Rollouts:
         """
         predictor, windows = self._predictor, self._windows
         off = [deviated(self._declared, predictor.tolerances, point.deviation) for point in points]
+        keys = [_moves_alike(one, point) for one, point in zip(off, points, strict=True)]
+        first = [keys.index(key) for key in keys]  # what is off in sensors alone flies as the first one does
+        flown = sorted(set(first))
+        points, off = [points[k] for k in flown], [off[k] for k in flown]
         flights, variant = self._flights_under(points, off)
         num_models, each, num_windows = len(points), len(predictor.flights), windows.row.size
         num_samples = round(WINDOW_S / SAMPLE_S)
@@ -142,7 +146,7 @@ class Rollouts:
                 turn = quat_log(quat_multiply(quat_conjugate(state.attitude), truth.attitude))
                 both = torch.cat((truth.lin_vel - state.lin_vel, turn), dim=1).numpy()
                 missed[:, members, at[step]] = both.reshape(of.size, members.size, 6)
-        return missed
+        return np.concatenate((missed[[flown.index(k) for k in first]], missed[num_models:]))
 
     def _flights_under(
         self, points: Sequence[ModelParams], off: Sequence[Deviated]
@@ -159,6 +163,12 @@ class Rollouts:
                 found += with_arriving_commands(one, flights, point) if self._commanded else flights
             which[place] = variants[key]
         return found, which
+
+
+def _moves_alike(off: Deviated, point: ModelParams) -> tuple[object, ...]:
+    """Return what tells rollouts of a model from those of others."""
+    numbers = [rows.numpy().tobytes() for rows in off.vehicle.rows().values()]
+    return (*numbers, off.command_shift, off.joint_start, key_of(replace(point, deviation=None)))
 
 
 def _nudged(state: BodyState, nudge: Tensor) -> BodyState:
