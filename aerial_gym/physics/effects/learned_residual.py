@@ -7,6 +7,7 @@ data (Mahalanobis distance), 0 from twice as far on. Neither place nor time is a
 Source: Goodfellow, Bengio, Courville (2016), Deep Learning, section 6 (the network); the bounds are our own.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -18,10 +19,21 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.rows import times
 from aerial_gym.physics.effects.base import Condition, Parameter, WrenchEffect
 
+Layer = tuple[Tensor, Tensor]
+"""Weights (out, in) and bias (out,)."""
+
 
 def felt_inputs(air_velocity: Tensor, ang_vel: Tensor, rotor_speed: Tensor) -> Tensor:
     """Return the inputs u, (E, 7), from velocities [m/s, rad/s], body, each (E, 3), and rotor speeds [rad/s], (E, R)."""
     return torch.cat((air_velocity, ang_vel, rotor_speed.square().mean(-1, keepdim=True)), dim=-1)
+
+
+def network(values: Tensor, hidden: Sequence[Layer], output: Layer) -> Tensor:
+    """Return the outputs of layers with tanh and of a last one without, (E, O), for standardised inputs (E, D)."""
+    for weights, bias in hidden:
+        values = torch.tanh(times(values, weights.T) + bias)
+    weights, bias = output
+    return times(values, weights.T) + bias
 
 
 class LearnedResidual(WrenchEffect):
@@ -68,10 +80,7 @@ class LearnedResidual(WrenchEffect):
     def of(self, felt: Tensor) -> Tensor:
         """Return force [N] and torque [N m], body axes, (E, 6), for inputs (E, 7)."""
         values = (torch.minimum(torch.maximum(felt, self._low), self._high) - self._centre) / self._scale
-        for weights, bias in self._hidden:
-            values = torch.tanh(times(values, weights.T) + bias)
-        weights, bias = self._output
-        values = times(values, weights.T) + bias
+        values = network(values, self._hidden, self._output)
         near = ((4.0 - self.distance(felt)) / 3.0).clamp(0.0, 1.0)
         return near * near * (3.0 - 2.0 * near) * torch.minimum(torch.maximum(values, -self._limit), self._limit)
 

@@ -12,11 +12,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from torch import Tensor
 
 from aerial_gym.config.learned_residual import LayerCfg, LearnedResidualCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import build_model, vehicle_from_config
 from aerial_gym.physics.effects import LearnedResidual
+from aerial_gym.physics.effects.learned_residual import network
 from aerial_gym.sim2real.identify.selection.scoring import Gain, LeftOut
 from aerial_gym.sim2real.predict.model_params import ModelParams, effects_at
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -164,45 +166,30 @@ def judge_on_test(learned: Learned, predictor: Predictor, point: ModelParams, fl
 class _Layers:
     """A network from standardised inputs to standardised outputs."""
 
-    weights: Array
+    weights: Tensor
     """(H, D)."""
 
-    bias: Array
+    bias: Tensor
     """(H,)."""
 
-    output: Array
+    output: Tensor
     """(O, H)."""
 
-    offset: Array
+    offset: Tensor
     """(O,)."""
 
-    def __call__(self, inputs: Array) -> Array:
+    def __call__(self, inputs: Tensor) -> Tensor:
         """Return the outputs (T, O) for inputs (T, D)."""
-        return np.tanh(inputs @ self.weights.T + self.bias) @ self.output.T + self.offset
+        return network(inputs, [(self.weights, self.bias)], (self.output, self.offset))
 
-    def loss(self, inputs: Array, targets: Array, decay: float) -> tuple[float, "_Layers"]:
-        """Return the mean square error with weight decay, and its gradient."""
-        units = np.tanh(inputs @ self.weights.T + self.bias)
-        error = units @ self.output.T + self.offset - targets
-        squares = float(np.sum(self.weights**2) + np.sum(self.output**2))
-        slope = 2.0 / error.size * error
-        before = (slope @ self.output) * (1.0 - units**2)
-        share = decay / targets.shape[1]
-        return float(np.mean(error**2)) + share * squares, _Layers(
-            before.T @ inputs + 2.0 * share * self.weights,
-            before.sum(axis=0),
-            slope.T @ units + 2.0 * share * self.output,
-            slope.sum(axis=0),
-        )
-
-    def flat(self) -> Array:
+    def flat(self) -> Tensor:
         """Return all numbers in a row."""
-        return np.concatenate([part.ravel() for part in vars(self).values()])
+        return torch.cat([part.flatten() for part in vars(self).values()])
 
-    def from_flat(self, numbers: Array) -> "_Layers":
+    def from_flat(self, numbers: Tensor) -> "_Layers":
         """Return layers of the same shapes with other numbers."""
         shapes = [part.shape for part in vars(self).values()]
-        parts = np.split(numbers, np.cumsum([np.prod(shape, dtype=int) for shape in shapes])[:-1])
+        parts = numbers.split([shape.numel() for shape in shapes])
         return _Layers(*(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)))
 
 
@@ -219,34 +206,39 @@ class _Trainer:
         self._size = np.maximum(np.sqrt(np.mean(target**2, axis=0)), 1e-12)
         self._low, self._high = np.quantile(self._felt, (TAIL, 1.0 - TAIL), axis=0)
         self._centre, self._scale = self._felt.mean(axis=0), np.maximum(self._felt.std(axis=0), 1e-6)
-        self._inputs = (np.clip(self._felt, self._low, self._high) - self._centre) / self._scale
-        self._targets = target / self._size
+        self._inputs = torch.from_numpy((np.clip(self._felt, self._low, self._high) - self._centre) / self._scale)
+        self._targets = torch.from_numpy(target / self._size)
         self._count = left_out.moments.count.astype(int)
         self._fold = np.repeat(left_out.fold, self._count)
 
     def keep(self, chosen: NDArray[np.bool_]) -> None:
         """Leave all other outputs at zero."""
         self.outputs = [k for k, kept in zip(self.outputs, chosen, strict=True) if kept]
-        self._size, self._targets = self._size[chosen], self._targets[:, chosen]
+        self._size, self._targets = self._size[chosen], self._targets[:, torch.from_numpy(chosen)]
 
     def train(self, decay: float, leave: int | None = None) -> _Layers:
         """Return the layers that fit all rows, or all but those of one fold, best."""
-        kept = self._fold != leave
+        kept = torch.from_numpy(self._fold != leave)
         inputs, targets = self._inputs[kept], self._targets[kept]
         width, outputs = inputs.shape[1], targets.shape[1]
         rng = np.random.default_rng(self._seed)
         start = _Layers(
-            rng.normal(size=(HIDDEN, width)) / width**0.5,
-            np.zeros(HIDDEN),
-            rng.normal(size=(outputs, HIDDEN)) / HIDDEN,
-            np.zeros(outputs),
+            torch.from_numpy(rng.normal(size=(HIDDEN, width)) / width**0.5),
+            torch.zeros(HIDDEN, dtype=torch.float64),
+            torch.from_numpy(rng.normal(size=(outputs, HIDDEN)) / HIDDEN),
+            torch.zeros(outputs, dtype=torch.float64),
         )
 
         def loss(numbers: Array) -> tuple[float, Array]:
-            value, gradient = start.from_flat(numbers).loss(inputs, targets, decay)
-            return value, gradient.flat()
+            at = torch.tensor(numbers, requires_grad=True)
+            layers = start.from_flat(at)
+            squares = layers.weights.square().sum() + layers.output.square().sum()
+            value = (layers(inputs) - targets).square().mean() + decay / outputs * squares
+            (gradient,) = torch.autograd.grad(value, at)
+            return value.item(), gradient.numpy()
 
-        return start.from_flat(minimize(loss, start.flat(), jac=True, method="L-BFGS-B", options={"maxiter": STEPS}).x)
+        found = minimize(loss, start.flat().numpy(), jac=True, method="L-BFGS-B", options={"maxiter": STEPS})
+        return start.from_flat(torch.from_numpy(found.x))
 
     def best_decay(self) -> tuple[float, Array]:
         """Return the decay that predicts flights left out best, and what share of each mean square is then left, (O,)."""
@@ -257,10 +249,10 @@ class _Trainer:
     def _left_out_errors(self, decay: float) -> Array:
         squares = np.zeros(len(self.outputs))
         for leave in np.unique(self._fold):
-            rows = self._fold == leave
+            rows = torch.from_numpy(self._fold == leave)
             found = self.train(decay, int(leave))(self._inputs[rows])
-            squares += ((found - self._targets[rows]) ** 2).sum(axis=0)
-        return squares / (self._targets**2).sum(axis=0)
+            squares += (found - self._targets[rows]).square().sum(dim=0).numpy()
+        return squares / self._targets.square().sum(dim=0).numpy()
 
     def gain(self, decay: float) -> Gain:
         """Return what networks gain on folds that they have not seen, in the simulator's own prediction of them."""
@@ -283,7 +275,7 @@ class _Trainer:
         to_wrench = np.zeros((6, 6))
         to_wrench[:3, :3] = model.vehicle.mass.item() * np.eye(3)
         to_wrench[3:, 3:] = model.vehicle.inertia[0].numpy()
-        to_wrench = to_wrench[:, self.outputs] * self._size
+        to_wrench = torch.from_numpy(to_wrench[:, self.outputs] * self._size)
         physical = replace(layers, output=to_wrench @ layers.output, offset=to_wrench @ layers.offset)
         return LearnedResidualCfg(
             low=_rounded(self._low),
@@ -293,7 +285,7 @@ class _Trainer:
             whitening=_rounded_rows(self._whitening()),
             hidden=(LayerCfg(weights=_rounded_rows(layers.weights), bias=_rounded(layers.bias)),),
             output=LayerCfg(weights=_rounded_rows(physical.output), bias=_rounded(physical.offset)),
-            limit=_rounded(np.abs(physical(self._inputs)).max(axis=0)),
+            limit=_rounded(physical(self._inputs).abs().amax(dim=0)),
             source=f"aerial-gym close-loop on the flights {', '.join(flight.name for flight in self._predictor.flights)}",
         )
 
@@ -305,9 +297,9 @@ class _Trainer:
         return white / np.quantile(np.linalg.norm(standard @ white.T, axis=1), 1.0 - TAIL)
 
 
-def _rounded(values: Array | Sequence[float]) -> tuple[float, ...]:
+def _rounded(values: Array | Tensor | Sequence[float]) -> tuple[float, ...]:
     return tuple(float(f"{value:.{DIGITS}g}") for value in values)
 
 
-def _rounded_rows(rows: Array) -> tuple[tuple[float, ...], ...]:
+def _rounded_rows(rows: Array | Tensor) -> tuple[tuple[float, ...], ...]:
     return tuple(_rounded(row) for row in rows)

