@@ -236,6 +236,10 @@ class ControllerCfg:
     """Until an action has reached the law [s], >= 0: a whole number of physics steps. The first one after a reset acts at
     once."""
 
+    if_unstable: Literal["refuse", "warn"] = "refuse"
+    """What becomes of a vehicle that these gains do not hold at hover with a gain margin of 6 dB: it is refused, or flies with
+    a warning, to reproduce someone's result as it is."""
+
     def __post_init__(self) -> None:
         if self.rate_hz is not None:
             require_positive(self, "rate_hz")
@@ -253,6 +257,8 @@ class ControllerCfg:
             raise ConfigError(
                 f"ControllerCfg.delay = {self.delay!r}: there is no rate loop to reach. Give rate_loop, or action_delay"
             )
+        if self.if_unstable not in ("refuse", "warn"):
+            raise ConfigError(f"ControllerCfg.if_unstable = {self.if_unstable!r}: must be 'refuse' or 'warn'")
         if self.allocation not in ("prioritised", "clamp"):
             raise ConfigError(f"ControllerCfg.allocation = {self.allocation!r}: must be 'prioritised' or 'clamp'")
 

@@ -4,7 +4,8 @@ One step of the torch reference, in float64, with the real allocation and rotor 
 all perturbations side by side as environments. With rates and memory it is a whole period, memory is perturbed too, and the
 derivative is the product of those of its steps, of which all of one phase are alike: hover is at rest in each. The
 vehicle comes to rest if the spectral radius over the axes that the law controls is below 1; what it leaves to itself (position
-and heading under attitude control, say) is left out, as none of the controlled axes depends on it at hover.
+and heading under attitude control, say) is left out, as none of the controlled axes depends on it at hover. That must hold with
+a gain margin: near the limit a loop is lost as soon as a rotor is at one of its own.
 Letters: N axes with rotors, R rotors.
 """
 
@@ -40,6 +41,10 @@ from aerial_gym.physics.vehicle import Vehicle, share_row, vehicle_from_config
 AXES = ("x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "p", "q", "r")
 """Motion about hover [m, rad, m/s, rad/s]."""
 
+LOOP_GAINS = (0.5, 2.0)
+"""Factors on what a law asks of the rotors beyond hover [-] with which the loop must come to rest too: a gain margin of 6 dB
+either way. Source: MIL-F-9490D (1975), 3.1.3.6.1, table III, and SAE AS94900 after it, for modes of the rigid body."""
+
 NUDGE = 1e-5
 """Size of the differences, in the units of the axes: their error is its square."""
 
@@ -68,6 +73,7 @@ def closed_loop_modes(
     dt: float,
     integrator: str,
     hover_thrust: Tensor,
+    loop_gain: float = 1.0,
 ) -> Tensor:
     """Return the eigenvalues of the closed loop at hover, complex, by physics step: ``exp(s dt)`` of its poles s.
 
@@ -82,6 +88,7 @@ def closed_loop_modes(
         dt: Time step [s].
         integrator: Name of the stepper.
         hover_thrust: Thrusts at rest [N], (R,).
+        loop_gain: Factor on what the law asks of the rotors beyond hover [-].
     """
     law = make_law(single_vehicle(vehicle, 1))
     memory = law.resting(hover_thrust) if isinstance(law, RememberingController) else None
@@ -92,7 +99,7 @@ def closed_loop_modes(
     rest = trim if memory is None else torch.cat((trim, memory.to(trim)))
     size = torch.cat((torch.ones(len(AXES), dtype=trim.dtype), rest.abs().clamp_min(1.0)))
     nudges = NUDGE * torch.cat((torch.eye(width, dtype=trim.dtype), -torch.eye(width, dtype=trim.dtype)))
-    loop = _Loop(make_law(plant), build_model(plant, gravity=gravity), INTEGRATORS[integrator], dt)
+    loop = _Loop(make_law(plant), build_model(plant, gravity=gravity), INTEGRATORS[integrator], dt, loop_gain)
     action, slopes = hover_action.to(trim).expand(2 * width, -1), {}
     slope = torch.eye(width, dtype=trim.dtype)
     for step in range(steps):
@@ -110,8 +117,8 @@ def closed_loop_modes(
 class _Loop:
     """A step of a closed loop, from offsets to offsets (2 N, N) from rest."""
 
-    def __init__(self, law: ControlLaw, model: Model, stepper: Stepper, dt: float) -> None:
-        self._law, self._model, self._stepper, self._dt = law, model, stepper, dt
+    def __init__(self, law: ControlLaw, model: Model, stepper: Stepper, dt: float, gain: float) -> None:
+        self._law, self._model, self._stepper, self._dt, self._gain = law, model, stepper, dt, gain
 
     def after(self, offsets: Tensor, rest: Tensor, action: Tensor, step: int) -> Tensor:
         """Return where the offsets are after a step of the period; ``rest`` is that of rotors and memory."""
@@ -121,6 +128,7 @@ class _Loop:
         resting, changes = rest[num_rotors:], offsets[:, len(AXES) + num_rotors :]
         memory = None if cascade is None else cascade.memory_from(resting + changes, step)
         command, memory = law_command(self._law, state, action, memory)
+        command = rest[:num_rotors] + self._gain * (command - rest[:num_rotors])
         state = to_body_state(
             self._model, self._stepper(self._model, to_mass_state(self._model, state), command, self._dt)
         )
@@ -172,11 +180,11 @@ def check_closed_loop(
     names: tuple[str, str],
     randomize: Randomize | None = None,
 ) -> None:
-    """Refuse a robot that does not come to rest under its controller at this time step.
+    """Refuse a robot that under its controller at this time step does not come to rest, or has too little gain margin.
 
-    Derived gains and bandwidths are our promise, and a loop that breaks it is refused. Explicit gains are someone's result,
-    which one may want to reproduce as it is, limit cycles and all: there is a warning instead. So it is with what is drawn
-    about them.
+    The margin is that of ``LOOP_GAINS``. So it is with derived gains, with those of a robot file, and with those that the name
+    of a controller means. Someone's result may be worth reproducing as it is, limit cycles and all: with
+    ``ControllerCfg.if_unstable`` there is a warning instead.
 
     Args:
         robot: What flies, as declared.
@@ -188,35 +196,50 @@ def check_closed_loop(
         randomize: What is drawn, by name; the ends of its gains must come to rest as well.
 
     Raises:
-        ConfigError: If the vehicle cannot hover, or the loop is unstable with derived gains.
+        ConfigError: If the vehicle cannot hover, or the loop is refused.
     """
     if controller.law not in LAWS:
         return
     loop = ClosedLoop(
         robot, controller, gravity=gravity, integrator=integrator, names=names, drawn=drawn_gains(randomize or {})
     )
-    radii = loop.radii(dt)
-    if max(radii) <= 1.0 + ROUND_OFF:
+    radii, margins = loop.radii(dt), loop.margins(dt)
+    if _rests(radii + margins):
         return
-    explicit = has_explicit_gains(controller, robot.control)
-    with_gains, way_out = (
-        ("the explicit gains given", "lower the gains, or leave them out to have them derived")
-        if explicit
-        else ("its frequencies and damping", "lower the frequencies")
+    if not _rests(radii):
+        fault = f"is unstable: a disturbance at hover grows by a factor of {max(radii):.3g} in each step"
+    else:
+        gain, growth = max(zip(LOOP_GAINS, margins, strict=True), key=lambda pair: pair[1])
+        fault = f"is nearly unstable: asking {gain:g} times as much of the rotors, a disturbance grows by {growth:.3g} a step"
+    gains, way_out = _gains_at_fault(loop, controller, robot, drawn=_rests(radii[:1]) and not _rests(radii))
+    best = loop.largest_firm_dt(dt)
+    span = (
+        "No dt has a gain margin of 6 dB"
+        if best is None
+        else f"The largest dt with a gain margin of 6 dB is {best:.3g} s"
     )
-    if radii[0] <= 1.0 + ROUND_OFF:
-        drawn = ", ".join(f"gains.{name}" for name in loop.drawn)
-        with_gains, way_out = f"gains at the ends of what is drawn of {drawn}", "narrow these ranges (randomize:)"
-    best = loop.largest_stable_dt(dt)
-    message = (
-        f"robot {names[0]} with controller {names[1]} at dt = {dt:g} s is unstable: a disturbance at hover grows by a factor "
-        f"of {max(radii):.3g} in each step, with {with_gains}. "
-        + ("It is at every time step" if best is None else f"The largest stable dt is {best:.3g} s")
-        + f": {way_out}"
-    )
-    if not explicit:
+    message = f"robot {names[0]} with controller {names[1]} at dt = {dt:g} s {fault}, with {gains}. {span}: {way_out}"
+    if controller.if_unstable == "refuse":
         raise ConfigError(message)
     logging.getLogger(__name__).warning(message)
+
+
+def _rests(radii: list[float]) -> bool:
+    return max(radii) <= 1.0 + ROUND_OFF
+
+
+def _gains_at_fault(loop: "ClosedLoop", controller: ControllerCfg, robot: RobotCfg, *, drawn: bool) -> tuple[str, str]:
+    """Return which gains do not hold a vehicle, and what can be done."""
+    if drawn:
+        names = ", ".join(f"gains.{name}" for name in loop.drawn)
+        return f"gains at the ends of what is drawn of {names}", "narrow these ranges (randomize:)"
+    if not has_explicit_gains(controller, robot.control):
+        return "its frequencies and damping", "lower the frequencies"
+    return (
+        "the explicit gains given",
+        "lower them, or leave them out to have them derived (lee_*, pid_*); "
+        'dataclasses.replace(controller, if_unstable="warn") flies them as they are',
+    )
 
 
 def drawn_gains(randomize: Randomize) -> dict[str, RandomizeCfg]:
@@ -264,24 +287,36 @@ class ClosedLoop:
 
     def radii(self, dt: float) -> list[float]:
         """Return the spectral radius with the declared gains, then with each combination of ends of the drawn ones."""
-        return [self._radius_with(corner, dt) for corner in self._corners]
+        return [self._radius_with(corner, 1.0, dt) for corner in self._corners]
+
+    def margins(self, dt: float) -> list[float]:
+        """Return the spectral radius with the declared gains times each of ``LOOP_GAINS``."""
+        return [self._radius_with(None, gain, dt) for gain in LOOP_GAINS]
 
     def largest_stable_dt(self, unstable: float) -> float | None:
         """Return the largest time step [s] below an unstable one at which all are stable; None if there is none."""
+        return self._largest_dt([(corner, 1.0) for corner in self._corners], unstable)
+
+    def largest_firm_dt(self, unfirm: float) -> float | None:
+        """Return the same with the margin of ``LOOP_GAINS``: the largest time step [s] that is not refused."""
+        return self._largest_dt(
+            [*((corner, 1.0) for corner in self._corners), *((None, gain) for gain in LOOP_GAINS)], unfirm
+        )
+
+    def _largest_dt(self, cases: list[tuple[tuple[int, ...] | None, float]], unstable: float) -> float | None:
         best: float | None = unstable
-        while best is not None and max(radii := self.radii(best)) > 1.0 + ROUND_OFF:
-            worst = self._corners[radii.index(max(radii))]
-            best = largest_stable_dt(partial(self._radius_with, worst), best)
+        while best is not None and not _rests(radii := [self._radius_with(*case, best) for case in cases]):
+            best = largest_stable_dt(partial(self._radius_with, *cases[radii.index(max(radii))]), best)
         return best
 
     def modes(self, dt: float) -> Tensor:
         """Return ``exp(s dt)`` of the poles s [1/s] of the loop with the declared gains at a time step [s], complex."""
-        return self._modes_with(None, dt)
+        return self._modes_with(None, 1.0, dt)
 
-    def _radius_with(self, corner: tuple[int, ...] | None, dt: float) -> float:
-        return float(self._modes_with(corner, dt).abs().max())
+    def _radius_with(self, corner: tuple[int, ...] | None, loop_gain: float, dt: float) -> float:
+        return float(self._modes_with(corner, loop_gain, dt).abs().max())
 
-    def _modes_with(self, corner: tuple[int, ...] | None, dt: float) -> Tensor:
+    def _modes_with(self, corner: tuple[int, ...] | None, loop_gain: float, dt: float) -> Tensor:
         def make_law(vehicle: Vehicle) -> ControlLaw:
             law = make_controller(self._controller, vehicle, self._gravity, dt=dt, control=self._robot.control)
             if corner is not None and isinstance(law, LeeController | CascadeController):
@@ -299,6 +334,7 @@ class ClosedLoop:
             dt=dt,
             integrator=self._integrator,
             hover_thrust=self._hover,
+            loop_gain=loop_gain,
         )
 
 

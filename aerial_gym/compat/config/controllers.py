@@ -157,7 +157,9 @@ def controller_of(law: Any, config: Any) -> ControllerCfg:
         )
     ours = CONTROLLERS.get(law.name)
     ranges = _ranges_of(law, config)
-    return ours if ranges is None else replace(ours, gains=ranges.explicit(f"class {config.__name__}"))
+    if ranges is None:
+        return ours
+    return replace(ours, gains=ranges.explicit(f"class {config.__name__}"), if_unstable="warn")  # as it flies there
 
 
 def drawn_gains(law: Any, config: Any) -> Randomize:

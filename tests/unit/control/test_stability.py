@@ -103,27 +103,67 @@ def test_frequencies_that_the_rotor_lag_forbids_are_refused_with_the_largest_tim
     )
     law = CONTROLLERS.get("lee_attitude_control")
     with pytest.raises(
-        ConfigError, match=r"robot fast with controller att at dt = 0.05 s is unstable.*stable dt is"
+        ConfigError, match=r"robot fast with controller att at dt = 0.05 s is unstable.*6 dB is .*: lower the"
     ) as e:
         check_closed_loop(robot, law, gravity=9.81, dt=0.05, integrator="euler", names=("fast", "att"))
-    largest = float(str(e.value).split("largest stable dt is ")[1].split(" s")[0])
-    assert radius(robot, law, 0.99 * largest) < 1.0 < radius(robot, law, 1.01 * largest)
+    largest = float(str(e.value).split("6 dB is ")[1].split(" s")[0])
+    loop = ClosedLoop(robot, law, gravity=9.81, integrator="euler", names=("fast", "att"))
+    assert max(loop.margins(0.99 * largest)) < 1.0 < max(loop.margins(1.01 * largest))
+    assert loop.radius(1.01 * largest) < 1.0
+    assert largest < 0.9 * (loop.largest_stable_dt(0.05) or 0.0)
 
 
-def test_explicit_gains_are_warned_of(caplog: pytest.LogCaptureFixture) -> None:
-    """One set of gains for every robot: the Crazyflie at 100 Hz, whose flights ended up to 101 m away."""
-    law = replace(CONTROLLERS.get("lee_position_control"), gains=AERIAL_GYM_GAINS)
-    for dt, warnings in ((0.01, 1), (0.002, 0)):
-        caplog.clear()
+def test_a_gain_margin_is_that_of_the_two_by_two() -> None:
+    """``dt (1 - d) K < 2 (1 + d)`` of a rate loop: twice K is stable up to half of that, and refused beyond."""
+    robot, dt, decay = ROBOTS.get("base_quadrotor"), 0.01, exp(-0.25)
+    limit = 2.0 * (1.0 + decay) / (dt * (1.0 - decay))  # of 2 z w [1/s]
+    for share, kept in ((0.49, True), (0.51, False), (0.99, False)):
+        quick = 0.5 * share * limit
+        control = ControlCfg(attitude_frequency=(quick, quick, 1.0), attitude_damping=(1.0, 1.0, 1.0))
+        tuned = replace(robot, control=control)
+        assert radius(tuned, RATES, dt) < 1.0
+        if kept:
+            check_closed_loop(tuned, RATES, gravity=9.81, dt=dt, integrator="euler", names=("quad", "r"))
+            continue
+        with pytest.raises(ConfigError, match="quad .* is nearly unstable: asking 2 times as much of the rotors"):
+            check_closed_loop(tuned, RATES, gravity=9.81, dt=dt, integrator="euler", names=("quad", "r"))
+
+
+@pytest.mark.parametrize("name", ["crazyflie_mellinger_control", "crazyflie_pid_control"])
+def test_what_flies_at_500_hz_alone_is_refused_at_100_hz(name: str) -> None:
+    """Rotors that follow in 10 ms: Mellinger's law is unstable from 10.1 ms on, and at 10 ms it was lost from some starts."""
+    robot, law = ROBOTS.get("crazyflie_2x_arpl"), CONTROLLERS.get(name)
+    assert radius(robot, law, 0.01) < 1.0
+    with pytest.raises(
+        ConfigError, match="is nearly unstable: asking 2 times as much of the rotors, a disturbance grows"
+    ):
+        check_closed_loop(robot, law, gravity=9.81, dt=0.01, integrator="euler", names=("crazyflie_2x_arpl", name))
+    for dt in (0.002, 0.004):
+        check_closed_loop(robot, law, gravity=9.81, dt=dt, integrator="euler", names=("crazyflie_2x_arpl", name))
+
+
+def test_gains_that_do_not_hold_a_vehicle_are_refused_with_the_way_out(caplog: pytest.LogCaptureFixture) -> None:
+    """A name that means the gains of another robot, and one set of gains for every robot: a Crazyflie flew 101 m away."""
+    robot = ROBOTS.get("crazyflie_21")
+    everybodys = replace(CONTROLLERS.get("lee_position_control"), gains=AERIAL_GYM_GAINS)
+    for law in (CONTROLLERS.get("lmf2_position_control"), everybodys):
+        with pytest.raises(
+            ConfigError, match=r"with the explicit gains given\. The largest dt .* if_unstable=\"warn\""
+        ) as e:
+            check_closed_loop(robot, law, gravity=9.81, dt=0.01, integrator="euler", names=("crazyflie_21", "p"))
+        assert not caplog.records
         with caplog.at_level(logging.WARNING):
-            check_closed_loop(
-                ROBOTS.get("crazyflie_21"), law, gravity=9.81, dt=dt, integrator="euler", names=("crazyflie_21", "p")
-            )
-        assert len(caplog.records) == warnings
+            anyway = replace(law, if_unstable="warn")
+            check_closed_loop(robot, anyway, gravity=9.81, dt=0.01, integrator="euler", names=("crazyflie_21", "p"))
+        (record,) = caplog.records
+        assert record.getMessage() == str(e.value)
+        caplog.clear()
+    with pytest.raises(ConfigError, match="if_unstable = 'fly': must be 'refuse' or 'warn'"):
+        replace(everybodys, if_unstable="fly")
 
 
 WIDE = {"gains.rate": RandomizeCfg(how="value", low=0.0, high=(0.3, 0.3, 0.2))}
-FIRM = replace(CONTROLLERS.get("lee_position_control"), gains=AERIAL_GYM_GAINS)
+FIRM = replace(CONTROLLERS.get("lee_position_control"), gains=AERIAL_GYM_GAINS, if_unstable="warn")
 
 
 def check(controller: ControllerCfg, randomize: dict[str, RandomizeCfg], dt: float = 0.01) -> None:
@@ -133,14 +173,14 @@ def check(controller: ControllerCfg, randomize: dict[str, RandomizeCfg], dt: flo
     )
 
 
-def test_what_is_drawn_about_explicit_gains_is_warned_of(caplog: pytest.LogCaptureFixture) -> None:
+def test_what_is_drawn_about_explicit_gains_can_be_warned_of(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         check(FIRM, {})
         check(FIRM, {"gains.rate": RandomizeCfg(how="offset", low=-0.01, high=0.01)})
         assert not caplog.records
         check(FIRM, WIDE)
     (record,) = caplog.records
-    assert "with gains at the ends of what is drawn of gains.rate. It is at every time step" in record.getMessage()
+    assert "with gains at the ends of what is drawn of gains.rate. No dt has" in record.getMessage()
     assert "narrow these ranges" in record.getMessage()
 
 
@@ -148,9 +188,9 @@ def test_what_is_drawn_about_derived_gains_is_refused_with_the_largest_time_step
     """The two by two of a rate loop has determinant d and trace ``1 + d - dt (1 - d) K``: ``dt (1 - d) K < 2 (1 + d)``."""
     strong, tau = RandomizeCfg(how="value", low=0.01, high=(0.6, 0.6, 0.01)), 0.04
     check(RATES, {"gains.rate": RandomizeCfg(low=0.8, high=1.2)}, 0.02)
-    with pytest.raises(ConfigError, match=r"quad .* drawn of gains.rate. The largest stable dt .*: narrow") as e:
+    with pytest.raises(ConfigError, match=r"quad .* drawn of gains.rate. The largest dt .*: narrow") as e:
         check(RATES, {"gains.rate": strong}, 0.02)
-    largest = float(str(e.value).split("largest stable dt is ")[1].split(" s")[0])
+    largest = float(str(e.value).split("6 dB is ")[1].split(" s")[0])
     decay = exp(-largest / tau)
     assert largest * (1.0 - decay) * 0.6 / 4.225e-4 == pytest.approx(
         2.0 * (1.0 + decay), rel=0.02
