@@ -1,270 +1,270 @@
-"""Does every registered robot fly with every geometric controller at every sim? Errors, settling times, overshoots.
+"""Does every registered robot fly with every geometric controller that fits it? Errors, settling times, overshoots.
 
-    python -m benchmarks.control_table [--json] [--out DIR]
+    python -m benchmarks.control_table [--json] [--write docs/results/control.md] [--out docs/images]
 
-One flight of 10 s for each: environment 0 starts at rest and is given a step, the others start as a reset draws them (seed 0)
-and are told to rest. The step is 1 m, 1 m/s, 1 m/s² along x, 0.2 rad of roll, or 0.5 rad/s of yaw (of roll where the robot has
-no yaw torque). Settled is within 2 % of the step for good; the error is the largest of the 16 others after 10 s, in the units
-of the command, over what the law controls. Robots that differ only in their sensors fly once. Backend `warp` on the CPU; the
-seed decides every number.
+Robots that differ only in their sensors fly once, with every controller whose gains are the robot's own, and with those whose
+name means its gains, at every sim (``control_flights``). Gains that a name means fly other robots too, at `base_sim`. What is
+refused is listed. ``--json`` prints all of it, an object a line; ``--out`` draws the steps at `base_sim`.
 """
 
 import argparse
 import json
-from dataclasses import asdict, dataclass, replace
-from math import pi
+import platform
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from math import isnan, pi
 from pathlib import Path
+from statistics import median
 
 import torch
-from torch import Tensor
+import warp
 
-from aerial_gym.assets import ENVIRONMENTS
-from aerial_gym.config.controller import ControllerCfg
-from aerial_gym.config.robot import RobotCfg
-from aerial_gym.config.sim import SimCfg
-from aerial_gym.control import CONTROLLERS, make_controller
-from aerial_gym.control.allocation import Allocation
-from aerial_gym.env_manager import SIMS, EnvManager
-from aerial_gym.errors import ConfigError
-from aerial_gym.physics import vehicle_from_config
-from aerial_gym.registry import GlobalTensorDictionary
+from aerial_gym.control import CONTROLLERS
+from aerial_gym.env_manager import SIMS
 from aerial_gym.robots import ROBOTS
+from benchmarks.control_flights import (
+    MEANT_FOR,
+    SAMPLE,
+    SPAN,
+    STEPS,
+    UNITS,
+    Flight,
+    different_robots,
+    fly,
+    geometric_controllers,
+    meant_for,
+    named_controllers,
+    unfit,
+)
 
-NUM_DRAWN = 16
-SPAN = 10.0
-SAMPLE = 0.02
-"""Time between two looks at the state [s]."""
+BEGIN, END = "<!-- tables: begin, by python -m benchmarks.control_table -->", "<!-- tables: end -->"
 
-FAR_BELOW = -1000.0
-"""Height of the ground [m]: a robot with ground effect flies as if there were none."""
+LOST = 10.0
+"""Error after 10 s in steps, from which on a vehicle is called lost."""
 
-SETTLED = 0.02
-"""Share of the step."""
-
-STEPS = {
-    "position": 1.0,
-    "pose": 1.0,
-    "steering": 1.0,
-    "velocity": 1.0,
-    "acceleration": 1.0,
-    "attitude": 0.2,
-    "rates": 0.5,
-}
-UNITS = {
-    "position": "m",
-    "pose": "m",
-    "steering": "m/s",
-    "velocity": "m/s",
-    "acceleration": "m/s²",
-    "attitude": "rad",
-    "rates": "rad/s",
-}
+COARSEST = "base_sim"
+"""The sim with the longest time step."""
 
 
 @dataclass(frozen=True)
-class Flight:
-    """What came of a robot under a controller at a sim."""
+class Refusal:
+    """A controller that does not fit a robot at a sim."""
 
     robot: str
     controller: str
-    law: str
     sim: str
-    error: float
-    """Largest of the drawn starts after 10 s, in ``UNITS``."""
+    refused: str
+    """What the message says."""
 
-    settling_s: float
-    """Until the step stays within 2 %; infinite if it does not."""
-
-    overshoot: float
-    """Beyond the step, as a share of it."""
-
-    tilt_rad: float
-    """Largest angle between body z and world z in the last second."""
-
-    response: tuple[float, ...]
-    """To the step, as a share of it, at each sample."""
+    @property
+    def of_kind(self) -> bool:
+        """Whether the law does not fit the vehicle at any time step; else the gain margin is too small at this one."""
+        return self.refused.startswith("law ")
 
 
-def different_robots() -> dict[str, RobotCfg]:
-    """Return the registered rigid robots that fly differently, by the first name of each."""
-    found: dict[str, RobotCfg] = {}
-    for name in ROBOTS:
-        robot = ROBOTS.get(name)
-        flies = (robot.body, robot.rotor, robot.mounts, robot.control.buoyancy)
-        if robot.joints is None and all(
-            flies != (r.body, r.rotor, r.mounts, r.control.buoyancy) for r in found.values()
-        ):
-            found[name] = robot
-    return found
+def fly_all(robots: Iterable[str], controllers: Iterable[str]) -> tuple[list[Flight], list[Refusal]]:
+    """Return the flights of robots under controllers, by their names, and what was refused."""
+    flights, refusals, named = [], [], named_controllers()
+    for robot in robots:
+        cfg = ROBOTS.get(robot)
+        for controller in controllers:
+            foreign = controller in named and meant_for(controller) != robot
+            for sim in SIMS:
+                why = unfit(cfg, CONTROLLERS.get(controller), SIMS.get(sim), names=(robot, controller))
+                if why:
+                    refusals.append(Refusal(robot, controller, sim, why))
+                elif not foreign or (sim == COARSEST and _holds_place(controller)):
+                    law = CONTROLLERS.get(controller)
+                    flights.append(fly(cfg, law, SIMS.get(sim), names=(robot, controller, sim)))
+    return flights, refusals
 
 
-def geometric_controllers() -> dict[str, ControllerCfg]:
-    """Return the registered controllers whose law has gains that are the robot's own."""
-    found = {name: CONTROLLERS.get(name) for name in CONTROLLERS}
-    return {name: cfg for name, cfg in found.items() if cfg.law in STEPS and cfg.gains is None}
+def _holds_place(controller: str) -> bool:
+    return CONTROLLERS.get(controller).law in ("position", "pose")
 
 
-def unfit(robot: RobotCfg, controller: ControllerCfg) -> str:
-    """Return why a controller does not fit a robot; empty if it does."""
-    try:
-        vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
-        make_controller(controller, vehicle, 9.81, dt=0.01, control=robot.control)
-    except ConfigError as error:
-        return str(error)
-    return ""
-
-
-def axes_of(robot: RobotCfg) -> tuple[bool, ...]:
-    """Return about which body axes a robot can turn itself."""
-    allocation = Allocation(vehicle_from_config(robot, num_envs=1, dtype=torch.float64), 9.81)
-    return tuple((allocation.torque_authority(robot.body.mass * 9.81) > 0.0).tolist())
-
-
-def fly(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names: tuple[str, str, str]) -> Flight:
-    """Return one flight; ``names`` are those of robot, controller and sim."""
-    law, can_turn = controller.law, axes_of(robot)
-    env = EnvManager(
-        sim=sim,
-        env=replace(
-            ENVIRONMENTS.get("empty_env"), physics_steps_per_env_step=round(SAMPLE / sim.dt), ground_height=FAR_BELOW
-        ),
-        robot=robot,
-        controller=controller,
-        num_envs=1 + NUM_DRAWN,
-        device=torch.device("cpu"),
-        seed=0,
-    )
-    env.reset()
-    gtd = env.gtd
-    for key in ("robot_position", "robot_linvel", "robot_body_angvel", "robot_orientation"):
-        gtd[key][0] = 0.0
-    gtd["robot_orientation"][0, 3] = 1.0
-    actions = torch.zeros_like(gtd["robot_actions"])
-    channel = {"attitude": 1, "rates": 3 if can_turn[2] else 1}.get(law, 0)
-    actions[0, channel] = STEPS[law]
-    before, response, errors, tilts = gtd["robot_linvel"].clone(), [], torch.zeros(0), []
-    for _ in range(round(SPAN / SAMPLE)):
-        env.step(actions)
-        acceleration = (gtd["robot_linvel"] - before) / SAMPLE
-        before = gtd["robot_linvel"].clone()
-        measured = _measured(law, gtd, acceleration, can_turn)
-        errors = measured[1:].norm(dim=-1)
-        axis = channel - 1 if law in ("attitude", "rates") else 0
-        response.append(float(_step_of(law, gtd, acceleration)[axis]) / STEPS[law])
-        tilts.append(float(_tilt(gtd["robot_orientation"][1:]).max()))
-    settled, overshoot = figures(response)
-    return Flight(
-        robot=names[0], controller=names[1], law=law, sim=names[2],
-        error=float(errors.max()), settling_s=settled, overshoot=overshoot,
-        tilt_rad=max(tilts[-round(1.0 / SAMPLE) :]), response=tuple(response),
-    )  # fmt: skip
-
-
-def _measured(law: str, gtd: GlobalTensorDictionary, acceleration: Tensor, can_turn: tuple[bool, ...]) -> Tensor:
-    """Return what the law should have brought to zero."""
-    return {
-        "position": gtd["robot_position"],
-        "pose": gtd["robot_position"],
-        "steering": gtd["robot_linvel"],
-        "velocity": gtd["robot_linvel"],
-        "acceleration": acceleration,
-        "attitude": gtd["robot_euler_angles"][:, :2],
-        "rates": gtd["robot_body_angvel"] * torch.tensor(can_turn),
-    }[law]
-
-
-def _step_of(law: str, gtd: GlobalTensorDictionary, acceleration: Tensor) -> Tensor:
-    """Return what answers to the step, (3,)."""
-    rows = {
-        "position": gtd["robot_position"],
-        "pose": gtd["robot_position"],
-        "steering": gtd["robot_vehicle_linvel"],
-        "velocity": gtd["robot_vehicle_linvel"],
-        "acceleration": acceleration,
-        "attitude": gtd["robot_euler_angles"],
-        "rates": gtd["robot_body_angvel"],
-    }
-    return rows[law][0]
-
-
-def _tilt(attitude: Tensor) -> Tensor:
-    return torch.acos((1.0 - 2.0 * (attitude[:, 0] ** 2 + attitude[:, 1] ** 2)).clamp(-1.0, 1.0))
-
-
-def figures(response: list[float]) -> tuple[float, float]:
-    """Return settling time [s] and overshoot of a response to a unit step, sampled from ``SAMPLE`` on."""
-    outside = [i for i, value in enumerate(response) if abs(value - 1.0) > SETTLED]
-    last = outside[-1] + 1 if outside else 0
-    settling = (last + 1) * SAMPLE if last < len(response) else float("inf")
-    return settling, max(max(response) - 1.0, 0.0)
+def own(flights: list[Flight]) -> list[Flight]:
+    """Return the flights with a robot's own gains, derived, of its file, or meant by the name."""
+    named = named_controllers()
+    return [f for f in flights if f.controller not in named or meant_for(f.controller) == f.robot]
 
 
 def table(flights: list[Flight]) -> str:
-    """Return the flights as a table, a row for each robot and law, the sims side by side."""
-    sims = list(dict.fromkeys(flight.sim for flight in flights))
+    """Return a row for each robot and controller at the coarsest sim."""
     lines = [
-        "| robot | controller | " + " | ".join(f"`{sim}`: error, settling, overshoot" for sim in sims) + " |",
-        "| --- | --- |" + " --- |" * len(sims),
+        "| robot | controller | error | settling, overshoot | in wind: error at rest, largest | "
+        "rotors at limits: share, settling, overshoot, error |",
+        "| --- | --- | --- | --- | --- | --- |",
     ]
-    for robot, controller in dict.fromkeys((flight.robot, flight.controller) for flight in flights):
-        cells = [_cell(f) for f in flights if (f.robot, f.controller) == (robot, controller)]
-        lines.append(f"| `{robot}` | `{controller}` | {' | '.join(cells)} |")
+    for flight in (f for f in own(flights) if f.sim == COARSEST):
+        unit = UNITS[flight.law]
+        fell = " **fell**" if flight.tilt_rad > pi / 2 else ""
+        lost = " **lost**" if flight.limit_error > LOST * STEPS[flight.law] else ""
+        wind = "-" if isnan(flight.wind_error) else f"{_held(flight.wind_error)}, {_held(flight.wind_largest)} {unit}"
+        lines.append(
+            f"| `{flight.robot}` | `{flight.controller}` | {_held(flight.error)} {unit}{fell} | "
+            f"{_answer(flight.settling_s, flight.overshoot)} | {wind} | {flight.limit_share:.0%}, "
+            f"{_answer(flight.limit_settling_s, flight.limit_overshoot)}, {_held(flight.limit_error)} {unit}{lost} |"
+        )
     return "\n".join(lines)
 
 
-def _cell(flight: Flight) -> str:
-    fell = " **fell**" if flight.tilt_rad > pi / 2 else ""
-    return f"{flight.error:.2g} {UNITS[flight.law]}, {flight.settling_s:.3g} s, {flight.overshoot:.1%}{fell}"
+def _held(error: float) -> str:
+    return f"{error:.2g}" if error >= 1e-3 else "< 0.001"
+
+
+def _answer(settling: float, overshoot: float) -> str:
+    return f"{f'{settling:.3g} s' if settling < SPAN else f'> {SPAN:g} s'}, {overshoot:.0%}"
+
+
+def sims_table(flights: list[Flight]) -> str:
+    """Return a row for each controller, the sims side by side, over its robots."""
+    lines = [
+        "| controller | " + " | ".join(f"`{sim}` ({1e3 * SIMS.get(sim).dt:g} ms)" for sim in SIMS) + " |",
+        "| --- |" + " --- |" * len(list(SIMS)),
+    ]
+    for controller in dict.fromkeys(f.controller for f in own(flights)):
+        cells = [_over([f for f in own(flights) if (f.controller, f.sim) == (controller, sim)]) for sim in SIMS]
+        lines.append(f"| `{controller}` | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _over(flights: list[Flight]) -> str:
+    """Return what came of one controller at one sim: robots, median settling, largest overshoot, how many are lost."""
+    if not flights:
+        return "-"
+    settling = median(f.settling_s for f in flights)
+    lost = sum(f.limit_error > LOST * STEPS[f.law] for f in flights)
+    return f"{len(flights)}: {_answer(settling, max(f.overshoot for f in flights))}" + (
+        f", {lost} lost" if lost else ""
+    )
+
+
+def refusals_table(refusals: list[Refusal]) -> str:
+    """Return a row for each controller that refuses a robot: for its kind, and for want of gain margin at each sim."""
+    sims = sorted(SIMS, key=lambda sim: -SIMS.get(sim).dt)
+    heads = ["not a vehicle for the law", *(f"too little gain margin at {1e3 * SIMS.get(sim).dt:g} ms" for sim in sims)]
+    lines = [f"| controller | {' | '.join(heads)} |", "| --- |" + " --- |" * len(heads)]
+    for controller in dict.fromkeys(r.controller for r in refusals):
+        mine = [r for r in refusals if r.controller == controller]
+        names = [_names(r.robot for r in mine if r.of_kind)]
+        names += [_names(r.robot for r in mine if not r.of_kind and r.sim == sim) for sim in sims]
+        lines.append(f"| `{controller}` | {' | '.join(names)} |")
+    return "\n".join(lines)
+
+
+def _names(robots: Iterable[str]) -> str:
+    return ", ".join(f"`{name}`" for name in dict.fromkeys(robots)) or "-"
+
+
+def foreign_table(flights: list[Flight], refusals: list[Refusal]) -> str:
+    """Return a row for each robot: what becomes of a step of a metre with the gains of each robot that a name means."""
+    controllers = [name for name in named_controllers() if _holds_place(name)]
+    found: dict[tuple[str, str], str] = {}
+    for flight in (f for f in flights if f.sim == COARSEST and f.controller in controllers):
+        found[flight.robot, flight.controller] = _answer(flight.settling_s, flight.overshoot) + (
+            " **lost**" if flight.error > LOST else ""
+        )
+    for refusal in (r for r in refusals if r.sim == COARSEST):
+        found[refusal.robot, refusal.controller] = "not for it" if refusal.of_kind else "refused"
+    lines = [f"| robot | {' | '.join(f'`{name}`' for name in controllers)} |", "| --- |" + " --- |" * len(controllers)]
+    for robot in dict.fromkeys(f.robot for f in flights):
+        lines.append(f"| `{robot}` | {' | '.join(found.get((robot, name), '-') for name in controllers)} |")
+    return "\n".join(lines)
+
+
+def page(flights: list[Flight], refusals: list[Refusal]) -> str:
+    """Return all tables and what they were made with."""
+    made = (
+        f"{len(flights)} flights; {platform.machine()} CPU, Python {platform.python_version()}, "
+        f"torch {torch.__version__.split('+')[0]}, Warp {warp.config.version}."
+    )
+    meant = ", ".join(f"`{family}_*` of `{robot}`" for family, robot in MEANT_FOR.items())
+    return "\n\n".join(
+        (
+            made,
+            "### At 100 Hz",
+            table(flights),
+            "### At other time steps",
+            "Robots, the median of their settling times, their largest overshoot, and how many are lost with rotors at limits.",
+            sims_table(flights),
+            "### Refused by name",
+            refusals_table(refusals),
+            "### Gains that a name means, on other vehicles",
+            f"Settling and overshoot of a step of a metre at 100 Hz. Names mean the gains {meant}.",
+            foreign_table(flights, refusals),
+        )
+    )
 
 
 def draw(flights: list[Flight], path: Path) -> None:
-    """Draw the step responses at one sim, a panel for each law."""
+    """Draw the step responses at the coarsest sim, a panel for each controller, those of the named gains by law."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    shape = {"figsize": (15, 8.5), "sharey": True, "sharex": "col", "layout": "constrained"}
-    laws = ("position", "velocity", "acceleration", "attitude", "rates")
-    figure, rows = pyplot.subplots(3, len(laws), **shape)
-    robots = dict.fromkeys(flight.robot for flight in flights)
-    colours = dict(zip(robots, pyplot.get_cmap("tab20").colors, strict=False))  # 20 of them
-    for family, panels in zip(("lee", "pid", "px4"), rows, strict=True):
-        for panel, law in zip(panels, laws, strict=True):
-            name = f"{family}_{'rate' if (family, law) == ('px4', 'rates') else law}_control"
-            for flight in flights:
-                if flight.controller == name and flight.sim == "base_sim":
-                    times = [SAMPLE * (i + 1) for i in range(len(flight.response))]
-                    panel.plot(times, flight.response, label=flight.robot, lw=1.2, color=colours.get(flight.robot))
-            panel.axhline(1.0, color="0.7", lw=0.8, zorder=0)
-            panel.set(title=name, ylim=(-0.1, 1.4))
-            panel.set_xlim(0.0, 8.0 if law in ("position", "velocity") else 3.0)
-        panels[0].set_ylabel("share of the step")
-    for panel in rows[-1]:
+    flights = [f for f in own(flights) if f.sim == COARSEST]
+    named = set(named_controllers())
+    panels: dict[str, Callable[[Flight], bool]] = {
+        name: lambda f, name=name: f.controller == name for name in geometric_controllers()
+    }
+    panels |= {
+        f"{'|'.join(family for family in MEANT_FOR if family != 'rov')}_{law}_control": lambda f, law=law: (
+            f.controller in named and f.law == law
+        )
+        for law in ("position", "velocity", "acceleration", "attitude", "rates")
+    }
+    panels["rov_fully_actuated_control"] = lambda f: f.controller == "rov_fully_actuated_control"
+    columns = 5
+    shape = {"figsize": (15, 15), "sharey": True, "layout": "constrained"}
+    figure, axes = pyplot.subplots(-(-len(panels) // columns), columns, **shape)
+    names = dict.fromkeys(flight.robot for flight in flights)
+    ramp = pyplot.get_cmap("nipy_spectral")
+    colours = {name: ramp((i + 0.5) / len(names)) for i, name in enumerate(names)}
+    lines = {}
+    for (title, shown), panel in zip(panels.items(), axes.flat, strict=False):
+        slow = False
+        for flight in (f for f in flights if shown(f)):
+            times = [SAMPLE * (i + 1) for i in range(len(flight.response))]
+            (lines[flight.robot],) = panel.plot(times, flight.response, lw=1.1, color=colours[flight.robot])
+            slow = slow or flight.law in ("position", "pose", "velocity", "steering")
+        panel.axhline(1.0, color="0.7", lw=0.8, zorder=0)
+        panel.set(ylim=(-0.1, 1.4), xlim=(0.0, 8.0 if slow else 3.0))
+        panel.set_title(title, fontsize=8)
+    for panel in axes.flat[len(panels) :]:
+        panel.set_axis_off()
+    for panel in axes[:, 0]:
+        panel.set_ylabel("share of the step")
+    for panel in axes[-1]:
         panel.set_xlabel("t [s]")
-    figure.legend(*rows[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize=8)
+    figure.legend(lines.values(), lines, loc="outside lower center", ncols=6, fontsize=8)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    figure.savefig(path, dpi=90)
 
 
 def main() -> None:
-    """Print the table; with ``--out`` draw the steps too."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", action="store_true", help="one object a line instead of the table")
+    """Print the tables; with ``--write`` put them between the marks of a page, with ``--out`` draw the steps too."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", action="store_true", help="one object a line instead of the tables")
+    parser.add_argument("--write", type=Path, help="page with the marks")
     parser.add_argument("--out", type=Path, help="folder for control_steps.png")
+    parser.add_argument("--robots", nargs="+", help="only these")
+    parser.add_argument("--controllers", nargs="+", help="only these")
     options = parser.parse_args()
-    flights = [
-        fly(robot, controller, SIMS.get(sim), names=(name, controller_name, sim))
-        for name, robot in different_robots().items()
-        for controller_name, controller in geometric_controllers().items()
-        if not unfit(robot, controller)
-        for sim in SIMS
-    ]
+    torch.set_num_threads(1)
+    controllers = options.controllers or [*geometric_controllers(), *named_controllers()]
+    flights, refusals = fly_all(options.robots or different_robots(), controllers)
+    text = page(flights, refusals)
     if options.json:
-        for flight in flights:
-            print(json.dumps({key: value for key, value in asdict(flight).items() if key != "response"}))
-    else:
-        print(table(flights))
+        for row in (*flights, *refusals):
+            print(json.dumps({key: value for key, value in asdict(row).items() if key != "response"}))
+    elif options.write is None:
+        print(text)
+    if options.write is not None:
+        before, _, rest = options.write.read_text(encoding="utf-8").partition(BEGIN)
+        _, _, after = rest.partition(END)
+        options.write.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}", encoding="utf-8")
     if options.out is not None:
         draw(flights, options.out / "control_steps.png")
 

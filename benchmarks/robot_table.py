@@ -15,7 +15,7 @@ import warp
 
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.check import RobotReport, check_robot
-from benchmarks.control_table import different_robots
+from benchmarks.control_flights import different_robots
 
 BEGIN, END = "<!-- table: begin, by python -m benchmarks.robot_table -->", "<!-- table: end -->"
 
