@@ -1,0 +1,113 @@
+"""Every registered controller holds a robot at rest, and flies each environment as if it were alone: 1, 2 and 5 of them.
+
+In float64 with the torch backend; the fused kernel, which runs an environment a thread, in ``test_alone_in_the_fused_kernel``.
+"""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.control import CONTROLLERS, make_controller
+from aerial_gym.control.allocation import Allocation
+from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.math.quaternion import quat_exp
+from aerial_gym.physics import BodyState, TorchBackend, build_model, vehicle_from_config
+from aerial_gym.physics.model import robot_effects
+from aerial_gym.physics.vehicle import Vehicle
+from aerial_gym.robots import ROBOTS
+from benchmarks.control_flights import MEANT_FOR
+from tests.repetitions import thinned
+
+F64 = torch.float64
+DT, STEPS = 0.01, 15
+GRAVITY = 9.81
+
+ROUND_OFF = 1e-12
+"""Of a flight of 15 steps: matrix products of several rows round otherwise than those of one."""
+
+
+def robot_of(controller: str) -> RobotCfg:
+    """Return a robot that a controller fits."""
+    if controller == "fully_actuated_control":
+        return ROBOTS.get("omnidirectional_octarotor")
+    return ROBOTS.get(MEANT_FOR.get(controller.partition("_")[0], "x500"))
+
+
+def rows(vehicle: Vehicle, robot: RobotCfg) -> tuple[Tensor, Tensor]:
+    """Return thrusts [N] and speeds [rad/s], in force mode thrusts, of hover, (E, R)."""
+    weight = torch.zeros(vehicle.num_envs, 6, dtype=F64)
+    weight[:, 2] = robot.body.mass * GRAVITY - robot.control.buoyancy
+    allocation = Allocation(vehicle, GRAVITY)
+    return allocation.allot(weight).thrust, allocation.speed_for_wrench(weight)
+
+
+def start(speed: Tensor, first: int) -> BodyState:
+    """Return rest in environment 0, and in those after it what grows with their number."""
+    share = torch.arange(first, first + len(speed), dtype=F64).unsqueeze(-1)
+    direction = torch.tensor([[0.3, -0.2, 0.1]], dtype=F64)
+    return BodyState(
+        position=share * direction,
+        attitude=quat_exp(0.3 * share * direction.roll(1)),
+        lin_vel=share * direction.roll(2),
+        ang_vel=-share * direction,
+        rotor_speed=speed.clone(),
+    )
+
+
+def flown(controller: str, num_envs: int, first: int) -> BodyState:
+    """Return where environments from ``first`` on are after the flight, told to hover at the origin."""
+    robot = robot_of(controller)
+    vehicle = vehicle_from_config(robot, num_envs=num_envs, dtype=F64)
+    law = make_controller(CONTROLLERS.get(controller), vehicle, GRAVITY, dt=DT, control=robot.control)
+    effects = robot_effects(robot, num_envs=num_envs, device=torch.device("cpu"), dtype=F64)
+    backend = TorchBackend()
+    backend.allocate(build_model(vehicle, effects, gravity=GRAVITY), law, integrator="euler")
+    thrust, speed = rows(vehicle, robot)
+    told = {"no_control": thrust, "rotor_speed_control": speed}
+    state = start(speed, first)
+    backend.step(state, told.get(controller, torch.zeros(num_envs, len(law.action_names), dtype=F64)), DT, STEPS)
+    return state
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_hover_is_the_same_alone_and_among_others(controller: str) -> None:
+    five, two = flown(controller, 5, 0), flown(controller, 2, 0)
+    alone = {first: flown(controller, 1, first) for first in (0, 1, 4)}
+    rest = start(five.rotor_speed, 0)
+    for name, found in vars(five).items():
+        torch.testing.assert_close(getattr(two, name), found[:2], atol=ROUND_OFF, rtol=ROUND_OFF)
+        for first, one in alone.items():
+            torch.testing.assert_close(getattr(one, name)[0], found[first], atol=ROUND_OFF, rtol=ROUND_OFF)
+        torch.testing.assert_close(found[0], getattr(rest, name)[0], atol=1e-9, rtol=1e-9)
+    assert float((five.lin_vel[1] - rest.lin_vel[1]).norm()) > 1e-3
+
+
+CASCADE = "px4_position_control"
+IN_KERNEL = [CASCADE, *(name for name in CONTROLLERS if name != CASCADE)]
+
+
+@pytest.mark.parametrize("controller", thinned(IN_KERNEL, len(IN_KERNEL)))
+def test_alone_in_the_fused_kernel(controller: str) -> None:
+    """Bit for bit: from starts that a reset draws, which depend on the number of the environment alone."""
+    found = {}
+    for num_envs, first in ((5, 0), (2, 0), (1, 4)):
+        env = EnvManager(
+            sim=SIMS.get("base_sim"),
+            env=replace(ENVIRONMENTS.get("empty_env"), ground_height=None),
+            robot=robot_of(controller),
+            controller=CONTROLLERS.get(controller),
+            num_envs=num_envs,
+            device=torch.device("cpu"),
+            seed=0,
+            first_env=first,
+        )
+        env.reset()
+        for _ in range(STEPS):
+            env.step(torch.zeros_like(env.gtd["robot_actions"]))
+        found[num_envs] = env.gtd["vec_root_tensor"][:, 0].clone()
+    assert torch.equal(found[2], found[5][:2])
+    assert torch.equal(found[1][0], found[5][4])
