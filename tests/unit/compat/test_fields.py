@@ -318,6 +318,7 @@ def test_gains_of_a_class_are_explicit_gains() -> None:
     cfg = controllers.controller_of(controllers.LAWS["LeeAttitudeController"], Quick)
     assert cfg.gains is not None
     assert cfg.gains.attitude == pytest.approx((1.55, 1.65, 0.45))
+    assert cfg.if_unstable == "warn"
     drawn = controllers.drawn_gains(controllers.LAWS["LeeAttitudeController"], Quick)
     assert drawn["gains.attitude"] == RandomizeCfg(how="value", low=(1.5, 1.6, 0.4), high=(1.6, 1.7, 0.5))
     assert drawn["gains.position"] == RandomizeCfg(how="value", low=(2.0, 2.0, 1.0), high=(3.0, 3.0, 2.0))
