@@ -25,7 +25,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.cascade import CascadeController
 from aerial_gym.control.controllers import LeeController, make_controller
-from aerial_gym.control.gains import GAINS, apparent_gravity, ends_of, has_explicit_gains
+from aerial_gym.control.gains import GAINS, apparent_gravity, ends_of, explicit_gains_of, has_explicit_gains
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.remembering import RememberingController
 from aerial_gym.errors import ConfigError
@@ -40,6 +40,8 @@ from aerial_gym.physics.vehicle import Vehicle, share_row, vehicle_from_config
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "p", "q", "r")
 """Motion about hover [m, rad, m/s, rad/s]."""
+
+TURNS, RATES = AXES[3:6], AXES[9:]
 
 LOOP_GAINS = (0.5, 2.0)
 """Factors on what a law asks of the rotors beyond hover [-] with which the loop must come to rest too: a gain margin of 6 dB
@@ -203,6 +205,12 @@ def check_closed_loop(
     loop = ClosedLoop(
         robot, controller, gravity=gravity, integrator=integrator, names=names, drawn=drawn_gains(randomize or {})
     )
+    if vain := _held_in_vain(loop.idle, controller, robot):
+        _refuse(
+            controller,
+            f"robot {names[0]} with controller {names[1]}: the explicit gains hold {vain}, about which its rotors have no "
+            f"torque, and an error that stays there hides the others. Give attitude gains of 0 about {vain}, or leave them out",
+        )
     radii, margins = loop.radii(dt), loop.margins(dt)
     if _rests(radii + margins):
         return
@@ -218,10 +226,22 @@ def check_closed_loop(
         if best is None
         else f"The largest dt with a gain margin of 6 dB is {best:.3g} s"
     )
-    message = f"robot {names[0]} with controller {names[1]} at dt = {dt:g} s {fault}, with {gains}. {span}: {way_out}"
+    _refuse(
+        controller,
+        f"robot {names[0]} with controller {names[1]} at dt = {dt:g} s {fault}, with {gains}. {span}: {way_out}",
+    )
+
+
+def _refuse(controller: ControllerCfg, message: str) -> None:
     if controller.if_unstable == "refuse":
         raise ConfigError(message)
     logging.getLogger(__name__).warning(message)
+
+
+def _held_in_vain(idle: list[str], controller: ControllerCfg, robot: RobotCfg) -> str:
+    """Return about which axes explicit gains would hold a vehicle whose rotors cannot; empty if there are none."""
+    explicit = None if controller.autopilot else explicit_gains_of(controller, robot.control)
+    return "" if explicit is None else " and ".join(name for name in idle if explicit.attitude[TURNS.index(name)] > 0.0)
 
 
 def _rests(radii: list[float]) -> bool:
@@ -277,9 +297,13 @@ class ClosedLoop:
                 f"{self._hover.tolist()} N, their limits are {low.tolist()} to {high.tolist()} N"
             )
         weak = allocation.torque_authority(weight) == 0.0
-        idle = {name for pair, none in zip(_TURNS, weak.tolist(), strict=True) if none for name in pair}
-        self.axes = " ".join(name for name in LAWS[controller.law].trim.split() if name not in idle)
+        turns = list(zip(TURNS, RATES, weak.tolist(), strict=True))
+        idle = {name for turn, rate, none in turns if none for name in (turn, rate)}
+        held = LAWS[controller.law].trim.split()
+        self.axes = " ".join(name for name in held if name not in idle)
         """Of ``AXES``, what the law and the rotors control."""
+        self.idle = [name for name in TURNS if name in idle and name in held]
+        """Of ``TURNS``, what the law holds and the rotors cannot."""
 
     def radius(self, dt: float) -> float:
         """Return the spectral radius at a time step [s]; where gains are drawn, the largest of ``radii``."""
@@ -336,6 +360,3 @@ class ClosedLoop:
             hover_thrust=self._hover,
             loop_gain=loop_gain,
         )
-
-
-_TURNS = (("roll", "p"), ("pitch", "q"), ("yaw", "r"))

@@ -162,6 +162,18 @@ def test_gains_that_do_not_hold_a_vehicle_are_refused_with_the_way_out(caplog: p
         replace(everybodys, if_unstable="fly")
 
 
+def test_gains_about_an_axis_without_torque_are_refused() -> None:
+    """Drawn headings stay as they are, and a vehicle that faced the other way was 1.3 m away after 10 s."""
+    robot, law = ROBOTS.get("neural_fly_quad"), CONTROLLERS.get("lmf2_position_control")
+    kind = {"gravity": 9.81, "dt": 0.01, "integrator": "euler", "names": ("neural_fly_quad", "p")}
+    with pytest.raises(ConfigError, match="the explicit gains hold yaw, about which its rotors have no torque"):
+        check_closed_loop(robot, law, **kind)
+    assert law.gains is not None
+    roll, pitch, _ = law.gains.attitude
+    check_closed_loop(robot, replace(law, gains=replace(law.gains, attitude=(roll, pitch, 0.0))), **kind)
+    check_closed_loop(robot, CONTROLLERS.get("lmf2_velocity_control"), **kind)
+
+
 WIDE = {"gains.rate": RandomizeCfg(how="value", low=0.0, high=(0.3, 0.3, 0.2))}
 FIRM = replace(CONTROLLERS.get("lee_position_control"), gains=AERIAL_GYM_GAINS, if_unstable="warn")
 
