@@ -12,7 +12,7 @@ import json
 import platform
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
-from math import isnan, pi
+from math import isfinite, isnan, pi
 from pathlib import Path
 from statistics import median
 
@@ -58,7 +58,7 @@ class Refusal:
 
     @property
     def of_kind(self) -> bool:
-        """Whether the law does not fit the vehicle at any time step; else the gain margin is too small at this one."""
+        """Whether the law does not fit the vehicle, whatever the gains; else the gains do not hold it at this time step."""
         return self.refused.startswith("law ")
 
 
@@ -109,6 +109,11 @@ def table(flights: list[Flight]) -> str:
     return "\n".join(lines)
 
 
+def _finite(value: str | float) -> str | float | None:
+    """Return a value as JSON can have it: null for what is infinite or not measured."""
+    return value if isinstance(value, str) or isfinite(value) else None
+
+
 def _held(error: float) -> str:
     return f"{error:.2g}" if error >= 1e-3 else "< 0.001"
 
@@ -141,15 +146,17 @@ def _over(flights: list[Flight]) -> str:
 
 
 def refusals_table(refusals: list[Refusal]) -> str:
-    """Return a row for each controller that refuses a robot: for its kind, and for want of gain margin at each sim."""
+    """Return which robots each controller refuses, for their kind and for its gains at each sim; a row for those alike."""
     sims = sorted(SIMS, key=lambda sim: -SIMS.get(sim).dt)
-    heads = ["not a vehicle for the law", *(f"too little gain margin at {1e3 * SIMS.get(sim).dt:g} ms" for sim in sims)]
+    heads = ["not a vehicle for the law", *(f"its gains do not hold at {1e3 * SIMS.get(sim).dt:g} ms" for sim in sims)]
     lines = [f"| controller | {' | '.join(heads)} |", "| --- |" + " --- |" * len(heads)]
+    alike: dict[tuple[str, ...], list[str]] = {}
     for controller in dict.fromkeys(r.controller for r in refusals):
         mine = [r for r in refusals if r.controller == controller]
-        names = [_names(r.robot for r in mine if r.of_kind)]
-        names += [_names(r.robot for r in mine if not r.of_kind and r.sim == sim) for sim in sims]
-        lines.append(f"| `{controller}` | {' | '.join(names)} |")
+        cells = [_names(r.robot for r in mine if r.of_kind)]
+        cells += [_names(r.robot for r in mine if not r.of_kind and r.sim == sim) for sim in sims]
+        alike.setdefault(tuple(cells), []).append(controller)
+    lines += [f"| {_names(controllers)} | {' | '.join(cells)} |" for cells, controllers in alike.items()]
     return "\n".join(lines)
 
 
@@ -162,9 +169,8 @@ def foreign_table(flights: list[Flight], refusals: list[Refusal]) -> str:
     controllers = [name for name in named_controllers() if _holds_place(name)]
     found: dict[tuple[str, str], str] = {}
     for flight in (f for f in flights if f.sim == COARSEST and f.controller in controllers):
-        found[flight.robot, flight.controller] = _answer(flight.settling_s, flight.overshoot) + (
-            " **lost**" if flight.error > LOST else ""
-        )
+        answer = _answer(flight.settling_s, flight.overshoot)
+        found[flight.robot, flight.controller] = f"{answer}, {_held(flight.error)} m"
     for refusal in (r for r in refusals if r.sim == COARSEST):
         found[refusal.robot, refusal.controller] = "not for it" if refusal.of_kind else "refused"
     lines = [f"| robot | {' | '.join(f'`{name}`' for name in controllers)} |", "| --- |" + " --- |" * len(controllers)]
@@ -191,7 +197,7 @@ def page(flights: list[Flight], refusals: list[Refusal]) -> str:
             "### Refused by name",
             refusals_table(refusals),
             "### Gains that a name means, on other vehicles",
-            f"Settling and overshoot of a step of a metre at 100 Hz. Names mean the gains {meant}.",
+            f"A step of a metre at 100 Hz: settling, overshoot; and the error from drawn starts. Names mean gains: {meant}.",
             foreign_table(flights, refusals),
         )
     )
@@ -216,8 +222,8 @@ def draw(flights: list[Flight], path: Path) -> None:
         for law in ("position", "velocity", "acceleration", "attitude", "rates")
     }
     panels["rov_fully_actuated_control"] = lambda f: f.controller == "rov_fully_actuated_control"
-    columns = 5
-    shape = {"figsize": (15, 15), "sharey": True, "layout": "constrained"}
+    columns = 6
+    shape = {"figsize": (16, 13), "sharey": True, "layout": "constrained"}
     figure, axes = pyplot.subplots(-(-len(panels) // columns), columns, **shape)
     names = dict.fromkeys(flight.robot for flight in flights)
     ramp = pyplot.get_cmap("nipy_spectral")
@@ -258,7 +264,7 @@ def main() -> None:
     text = page(flights, refusals)
     if options.json:
         for row in (*flights, *refusals):
-            print(json.dumps({key: value for key, value in asdict(row).items() if key != "response"}))
+            print(json.dumps({key: _finite(value) for key, value in asdict(row).items() if key != "response"}))
     elif options.write is None:
         print(text)
     if options.write is not None:

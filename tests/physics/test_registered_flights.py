@@ -39,9 +39,15 @@ SLOW = {"px4_velocity_control": 0.1, "crazyflie_pid_control": 0.5}
 """After 10 s what the integral of PX4's velocity loop gathered is not gone [m/s] (``tinyprop``: 0.067); the Crazyflie's cascade
 flies at 1.1 m/s at most, and some starts are 8 m away [m] (``magpie``, with published gains: 0.41)."""
 
+SLOW_TO_TURN = {"tinyprop": 0.5}
+"""Of laws that hold a place [m]: with its weak yaw some starts, with the heading far off, take longer (0.34)."""
+
 
 def assert_flies(flight: Flight, cfg: RobotCfg) -> None:
-    assert flight.error < SLOW.get(flight.controller, ALLOWED[flight.law]), f"{flight.error:.3g} after 10 s"
+    allowed = SLOW.get(flight.controller, ALLOWED[flight.law])
+    if flight.law == "position":
+        allowed = max(allowed, SLOW_TO_TURN.get(flight.robot, 0.0))
+    assert flight.error < allowed, f"{flight.error:.3g} after 10 s"
     assert flight.tilt_rad < pi / 2
     tuned = is_tuned(CONTROLLERS.get(flight.controller), cfg)
     if flight.controller != "px4_velocity_control" and not tuned:  # the last of an integral decays slowly

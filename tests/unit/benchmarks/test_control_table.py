@@ -37,10 +37,12 @@ def test_gains_on_another_vehicle_stand_in_a_table_of_their_own() -> None:
     rows = foreign_table(
         [FLIGHT, foreign, *(replace(FLIGHT, robot=r.robot, controller="pid") for r in refusals)], refusals
     )
-    assert "| `lmf2` | - | 4.7 s, 8% | - | - |" in rows
+    assert "| `lmf2` | - | 4.7 s, 8%, 0.0058 m | - | - |" in rows
     assert "| `tinyprop` | - | refused | - | - |" in rows
     assert "| `base_rov` | - | not for it | - | - |" in rows
-    assert "| `magpie_position_control` | `base_rov` | `tinyprop` | - | - |" in refusals_table(refusals)
+    refusals += [replace(r, controller="magpie_velocity_control") for r in refusals]
+    names = "`magpie_position_control`, `magpie_velocity_control`"
+    assert refusals_table(refusals).splitlines()[-1] == f"| {names} | `base_rov` | `tinyprop` | - | - |"
 
 
 def test_sims_are_compared_over_the_robots_of_a_controller() -> None:
@@ -61,7 +63,7 @@ def test_the_page_is_written_between_its_marks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "control.md"
-    path.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n", encoding="utf-8")
+    path.write_text(f"before\n{BEGIN}\nof before\n{END}\nafter\n", encoding="utf-8")
     monkeypatch.setattr(control_table, "fly_all", lambda *given: ([FLIGHT], []))
     monkeypatch.setattr("sys.argv", ["control_table", "--json", "--write", str(path), "--out", str(tmp_path)])
     control_table.main()
@@ -69,6 +71,7 @@ def test_the_page_is_written_between_its_marks(
     assert text.startswith(f"before\n{BEGIN}\n1 flights; ")
     assert text.endswith(f"{END}\nafter\n")
     assert "`magpie_*` of `magpie`" in text
-    assert "old" not in text
-    assert json.loads(capsys.readouterr().out)["limit_error"] == 180.0
+    assert "of before" not in text
+    row = json.loads(capsys.readouterr().out)
+    assert (row["limit_error"], row["limit_settling_s"]) == (180.0, None)
     assert (tmp_path / "control_steps.png").stat().st_size > 10_000
