@@ -1,6 +1,6 @@
-"""Effects under water against closed forms and conservation laws, float64.
+"""Effects under water against closed forms and conservation laws, float64; and the registered ``base_rov`` with its own.
 
-The hull has 2 kg and (0.02, 0.03, 0.05) kg m²; its rotors stand still.
+The hull has 2 kg and (0.02, 0.03, 0.05) kg m²; rotors stand still.
 """
 
 from dataclasses import replace
@@ -35,16 +35,16 @@ def hull(
     return build_model(vehicle_from_config(robot, num_envs=1, dtype=F64), effects_of(effects, 1), **options)
 
 
-def state_of(**parts: tuple[float, ...]) -> BodyState:
+def state_of(rotors: int = 4, **parts: tuple[float, ...]) -> BodyState:
     """Return a state at rest at the origin but for what is given; ``euler`` is roll, pitch, yaw."""
     rows = {name: torch.tensor([values], dtype=F64) for name, values in parts.items()}
     euler = rows.pop("euler", torch.zeros(1, 3, dtype=F64))
     rest = {name: torch.zeros(1, 3, dtype=F64) for name in ("position", "lin_vel", "ang_vel")}
-    return BodyState(**(rest | rows), attitude=quat_from_euler(euler), rotor_speed=torch.zeros(1, 4, dtype=F64))
+    return BodyState(**(rest | rows), attitude=quat_from_euler(euler), rotor_speed=torch.zeros(1, rotors, dtype=F64))
 
 
 def after(model: Model, state: BodyState, span: float, *, steps: int = 200) -> BodyState:
-    still = torch.zeros(1, 4, dtype=F64)
+    still = torch.zeros_like(state.rotor_speed)
     return advance(model, INTEGRATORS["rk4"], SpeedControl(), state, still, span / steps, steps)
 
 
@@ -160,3 +160,69 @@ def test_water_is_not_looked_for_in_flights_and_one_fluid_is_enough() -> None:
     twice = effects_of({"added_mass": ADDED}, 1) * 2
     with pytest.raises(ConfigError, match="a vehicle has one fluid at most"):
         build_model(vehicle_from_config(ROBOTS.get("lmf1"), num_envs=1, dtype=F64), twice)
+
+
+def rov(**changes: dict[str, float]) -> Model:
+    """Return ``base_rov`` with the effects of its file, some of them changed or added."""
+    robot = ROBOTS.get("base_rov")
+    return build_model(vehicle_from_config(robot, num_envs=1, dtype=F64), effects_of({**robot.effects, **changes}, 1))
+
+
+def test_the_water_of_base_rov_is_that_of_its_nine_spheres() -> None:
+    """A hull of 0.3 kg and eight motors of 0.1 kg, each displacing its mass of water; to the four digits of the file."""
+    spheres = [(0.3, 0.0)] + [(0.1, sqrt(2.0) * 0.1732051)] * 8  # mass [kg], distance from each axis [m]
+    radius = {mass: (3.0 * mass / (4.0 * pi * 1000.0)) ** (1 / 3) for mass, _ in spheres}
+    of_area = 0.5 * 1000.0 * 0.47 * pi
+    derived = {
+        "l": sum(6.0 * pi * 1e-3 * radius[m] for m, _ in spheres),
+        "q": sum(of_area * radius[m] ** 2 for m, _ in spheres),
+        "a": sum(6.0 * pi * 1e-3 * radius[m] * arm**2 + 8.0 * pi * 1e-3 * radius[m] ** 3 for m, arm in spheres),
+        "b": sum(of_area * radius[m] ** 2 * arm**3 for m, arm in spheres),
+    }
+    effects = ROBOTS.get("base_rov").effects
+    assert effects["hull_drag"] == pytest.approx({f"{k}{i}": derived[k] for k in "lqab" for i in "xyz"}, rel=3e-4)
+    assert effects["added_mass"] == pytest.approx(dict.fromkeys("xyz", sum(0.5 * m for m, _ in spheres)), rel=3e-4)
+    turned = sum(0.5 * m * arm**2 for m, arm in spheres)
+    assert effects["added_inertia"] == pytest.approx(dict.fromkeys("xyz", turned), rel=3e-4)
+
+
+@pytest.mark.parametrize("push", [-2.0, 0.5])
+def test_base_rov_reaches_its_terminal_speed(push: float) -> None:
+    """With P more or less than the weight: ``v = 2 P tanh(k t) / (D + l tanh(k t))``, ``D² = l² + 4 q P``, ``k = D / 2 M``.
+
+    After 20 s it is the root of ``l v + q v² = P``: up where water carries more than the weight, down where it carries less.
+    """
+    effects = ROBOTS.get("base_rov").effects
+    model = rov(buoyancy={**effects["buoyancy"], "force": 1.1 * G + push})
+    linear, quadratic, mass = effects["hull_drag"]["lz"], effects["hull_drag"]["qz"], 1.1 + effects["added_mass"]["z"]
+    root = sqrt(linear**2 + 4.0 * quadratic * abs(push))
+    for span in (0.3, 20.0):
+        grown = tanh(0.5 * root * span / mass)
+        expected = 2.0 * abs(push) * grown / (root + linear * grown)
+        end = after(model, state_of(8), span, steps=400)
+        assert end.lin_vel[0, 2].item() == pytest.approx(expected if push > 0.0 else -expected, rel=1e-8)
+    assert linear * expected + quadratic * expected**2 == pytest.approx(abs(push), rel=1e-8)
+
+
+@pytest.mark.parametrize(("axis", "sign"), [(0, 1.0), (0, -1.0), (1, 1.0)])
+def test_base_rov_is_righted(axis: int, sign: float) -> None:
+    """Heeled by 30 degrees about x or y: ``-B h sin 30° / (J + J_A)``, 10.791 N times 1 cm; neither sinks nor drifts."""
+    euler = tuple(sign * pi / 6 if i == axis else 0.0 for i in range(3))
+    end = after(rov(), state_of(8, euler=euler), 1e-6, steps=1)
+    expected = torch.zeros(1, 3, dtype=F64)
+    expected[0, axis] = -sign * 10.791 * 0.01 * 0.5 / (0.048 + 0.024)
+    torch.testing.assert_close(end.ang_vel / 1e-6, expected, rtol=1e-6, atol=1e-8)
+    torch.testing.assert_close(end.lin_vel / 1e-6, torch.zeros_like(expected), rtol=0.0, atol=1e-9)
+
+
+def test_base_rov_drifts_with_a_current() -> None:
+    """From rest, its speed u through water falls as ``u = l / ((l / c + q) exp(l t / M) - q)`` from that of the current c."""
+    current, span = (0.6, 0.0, -0.8), 3.0
+    end = after(rov(constant_wind=dict(zip("xyz", current, strict=True))), state_of(8), span, steps=400)
+    linear, quadratic = (ROBOTS.get("base_rov").effects["hull_drag"][name] for name in ("lx", "qx"))
+    for axis, speed in enumerate(current):
+        left = abs(speed) and linear / (
+            (linear / abs(speed) + quadratic) * exp(linear * span / (1.1 + 0.55)) - quadratic
+        )
+        expected = speed - left if speed > 0.0 else speed + left
+        assert end.lin_vel[0, axis].item() == pytest.approx(expected, rel=1e-8, abs=1e-12)
