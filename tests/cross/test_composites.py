@@ -31,6 +31,11 @@ TYPHOON: list[Part] = [
     *((0.005, (0.211396, y, 0.082219), (0.0, 0.0, 0.0)) for y in (-0.119762, 0.119762)),
     *((0.005, (-0.209396, y, 0.082219), (0.0, 0.0, 0.0)) for y in (-0.122762, 0.122762)),
 ]
+OCTAROTOR = [
+    base(0.3, 0.0, 0.0, 0.0),
+    *((0.1, (x, y, z), (0.0, 0.0, 0.0)) for x in (-0.1732051, 0.1732051) for y in (-0.1732051, 0.1732051)
+      for z in (-0.1732051, 0.1732051)),
+]  # fmt: skip
 PARTS: dict[str, list[Part]] = {
     "lmf1": quad(base(1.195, 0.013, 0.014, 0.013), 0.01, 0.1),
     "lmf2": quad(base(1.2, 0.013, 0.014, 0.013), 0.01, 0.1),
@@ -44,12 +49,9 @@ PARTS: dict[str, list[Part]] = {
         base(0.225, 0.0, 0.0, 0.0),
         *((0.00625, (x, y, 0.0), (0.0, 0.0, 0.0)) for x in (-0.13, 0.13) for y in (-0.13, 0.13)),
     ],
-    "base_octarotor": [
-        base(0.3, 0.0, 0.0, 0.0),
-        *((0.1, (x, y, z), (0.0, 0.0, 0.0)) for x in (-0.1732051, 0.1732051) for y in (-0.1732051, 0.1732051)
-          for z in (-0.1732051, 0.1732051)),
-    ],
-}  # fmt: skip
+    "base_octarotor": OCTAROTOR,
+    "base_rov": OCTAROTOR,
+}
 
 
 def composite(parts: Sequence[Part]) -> tuple[float, np.ndarray, np.ndarray]:
@@ -85,3 +87,34 @@ def test_the_simulator_that_counts_motors_twice_doubles_the_inertia() -> None:
     right, theirs = (ROBOTS.get(f"base_quadrotor{end}").body for end in ("", "_doubled_inertia"))
     assert theirs.mass == right.mass
     np.testing.assert_allclose(theirs.inertia, 2.0 * np.array(right.inertia), rtol=1e-12)
+
+
+def test_base_random_is_the_sum_of_its_motors_about_its_origin() -> None:
+    """A base of 0.225 kg and motors of 3.125 g, all points, moments about the origin; to 1e-6 of the largest.
+
+    Its centre of mass is declared there as well, where the published allocation takes its moments: that of the parts is 23 mm
+    away.
+    """
+    robot = ROBOTS.get("base_random")
+    motors = [(0.003125, mount.position, (0.0, 0.0, 0.0)) for mount in robot.mounts.layout]
+    mass, com, inertia = composite([base(0.225, 0.0, 0.0, 0.0), *motors])
+    at_origin = inertia + mass * (com @ com * np.eye(3) - np.outer(com, com))
+    assert robot.body.mass == pytest.approx(mass, rel=1e-9)
+    np.testing.assert_allclose(robot.body.inertia, at_origin, rtol=0.0, atol=1e-6 * at_origin.max())
+    assert robot.body.com == (0.0, 0.0, 0.0)
+    np.testing.assert_allclose(com, [0.0224, 0.0018, -0.0026], atol=5e-5)
+
+
+TINYPROP = ((1.5914e-3, -4.4e-6, 1.0e-7), (-4.4e-6, 1.5312e-3, 3.1e-6), (1.0e-7, 3.1e-6, 2.5329e-3))
+"""Table 4 of the appendix of the Aerial Gym Simulator [kg m²], identified on the whole vehicle."""
+
+
+def test_tinyprop_is_as_published_and_no_sum_of_the_parts_of_its_urdf() -> None:
+    """Motors of 13 g at (±0.16, ±0.16) m alone have more about z than was identified of the whole: 2.66e-3 > 2.53e-3 kg m²."""
+    body = ROBOTS.get("tinyprop").body
+    assert body.mass == pytest.approx(0.321 + 4 * 0.013, rel=1e-9)
+    assert body.com == (0.0, 0.0, 0.0)
+    np.testing.assert_allclose(body.inertia, TINYPROP, rtol=1e-6)
+    places = [(x, y, 0.0) for x in (-0.16, 0.16) for y in (-0.16, 0.16)]
+    motors = composite([(0.013, place, (0.0, 0.0, 0.0)) for place in places])[2]
+    assert motors[2, 2] > 1.05 * body.inertia[2][2]
