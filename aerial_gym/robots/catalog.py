@@ -38,6 +38,7 @@ for _name in (
     "racing_quadrotor",
     "base_rov",
     "bluerov2_heavy",
+    "tilt_tricopter",
     "morphy",
 ):
     _path = _FOLDER / f"{_name}.yaml"

@@ -43,6 +43,11 @@ PARTS: dict[str, list[Part]] = {
     "base_quad_root_link_control": quad(base(1.2, 0.013, 0.014, 0.013), 0.01, 0.1),
     "x500": X500,
     "coaxial_octarotor": [*X500, *UNDER],
+    "tilt_tricopter": [
+        base(1.4, 0.0139, 0.0139, 0.0246),
+        *((0.064, (0.2460732 * x, 0.2460732 * y, 0.0), (1e-6, 1e-6, 1e-6))
+          for x, y in ((0.5, -0.75**0.5), (0.5, 0.75**0.5), (-1.0, 0.0))),
+    ],
     "typhoon_hexarotor": TYPHOON,
     "tilted_hexarotor": TYPHOON,
     "base_quadrotor": [
@@ -51,7 +56,7 @@ PARTS: dict[str, list[Part]] = {
     ],
     "base_octarotor": OCTAROTOR,
     "base_rov": OCTAROTOR,
-}
+}  # fmt: skip
 
 
 def composite(parts: Sequence[Part]) -> tuple[float, np.ndarray, np.ndarray]:

@@ -1,0 +1,79 @@
+"""The angle of a tail rotor on a servo, by which a tricopter keeps its heading.
+
+Controllers command rotors; the drive of a joint is an entry of the action behind theirs, which whoever flies the vehicle gives.
+Frames: body is x forward, y left, z up. Letters: E environments.
+"""
+
+from dataclasses import dataclass
+from math import atan, sin
+
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.control.gains import loop_shape
+from aerial_gym.errors import ConfigError
+from aerial_gym.math.quaternion import wrap_angle, yaw_from_quat
+
+
+@dataclass(frozen=True, kw_only=True)
+class TailServo:
+    """``angle = trim + heading (yaw - psi) - rate r`` within the range of the servo."""
+
+    trim: float
+    """At which the thrust of the tail holds the drag torque of its rotor [rad]: ``tan = s k / L``."""
+
+    heading: float
+    """Angle per error of the heading [-]; errors count up to 1 rad."""
+
+    rate: float
+    """Angle per yaw rate [s]."""
+
+    limits: tuple[float, float]
+    """Of the servo [rad]."""
+
+    def angle(self, attitude: Tensor, ang_vel: Tensor, yaw: Tensor) -> Tensor:
+        """Return the commanded angle of the tail [rad], (E,).
+
+        Args:
+            attitude: Body to world, xyzw, unit, (E, 4).
+            ang_vel: Angular velocity [rad/s], body frame, (E, 3).
+            yaw: Wanted heading [rad], (E,).
+        """
+        error = wrap_angle(yaw - yaw_from_quat(attitude)).clamp(-1.0, 1.0)
+        return (self.trim + self.heading * error - self.rate * ang_vel[:, 2]).clamp(*self.limits)
+
+
+def tail_servo(robot: RobotCfg, *, dt: float, gravity: float = STANDARD_GRAVITY) -> TailServo:
+    """Return the law of a robot whose tail rotor sits alone on a joint about body x, behind the centre of mass.
+
+    With the tail at the distance L behind it, its share T of the weight and the moment of inertia J, ``J r' = L T angle`` about
+    the trim. The loop is as quick as the servo's lag (damping over stiffness) and a time step allow, and at most so quick that
+    an error of 1 rad asks for no more than the servo's range beyond the trim: as in ``control.gains.derived_gains``.
+
+    Raises:
+        ConfigError: If there is no such joint, or its drive follows no angle.
+    """
+    joints = () if robot.joints is None else robot.joints.layout
+    found = [
+        (mount, rotor, joint)
+        for mount, rotor in zip(robot.mounts.layout, robot.rotor_types, strict=True)
+        for joint in joints
+        if joint.name == mount.link and joint.drive is not None and joint.drive.mode == "position"
+    ]
+    if len(found) != 1 or found[0][2].axis != (1.0, 0.0, 0.0) or found[0][0].position[0] >= robot.body.com[0]:
+        raise ConfigError(
+            "a tail servo needs one rotor on a joint about body x that a drive holds to an angle, behind the centre of mass"
+        )
+    mount, rotor, joint = found[0]
+    assert joint.drive is not None
+    arm = robot.body.com[0] - mount.position[0]
+    thrust = robot.body.mass * gravity / robot.num_rotors
+    speed = rotor.speed_at(thrust)
+    torque = sum(c * speed**i for i, c in enumerate(rotor.torque_coefficients))
+    trim = atan(mount.spin * torque / (thrust * arm))
+    low, high = joint.drive.command_range
+    turn = arm * thrust / robot.body.inertia[2][2]
+    quickest, damping = loop_shape(joint.drive.damping / joint.drive.stiffness + dt, robot.control.phase_margin)
+    frequency = min(quickest, (turn * sin(min(high - trim, trim - low))) ** 0.5)
+    return TailServo(trim=trim, heading=frequency**2 / turn, rate=2.0 * damping * frequency / turn, limits=(low, high))
