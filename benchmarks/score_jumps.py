@@ -5,13 +5,13 @@
 DATA holds a folder for each collection of flights (docs/results/measured.md). Every flight with a position and a velocity is
 read as it is, and with a fix that moves by each size in a random direction, at a random time, for 0.5 to 4 s. Found: both
 steps, each within 0.1 s. With --stream as ``aerial-gym watch`` looks while the flight goes on, every half second, and with each
-sensor that stands still for 0.5 to 4 s as well.
+sensor that stands still for 0.5 to 4 s as well; told soon: all that was put into a flight, each within 10 s of its onset.
 """
 
 import argparse
 import re
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,9 @@ from aerial_gym.sim2real.logs.repeated_samples import SENSORS
 
 COLLECTIONS = ("idsia_nanodrone", "nanobench_cf21", "neural_fly", "neural_swarm")
 LOOK_S = LOOK_BLOCKS * BLOCK_S
+SOON_S = 10.0
+"""After its onset a fault should be told by then [s]."""
+
 TOLD = re.compile(r"position jumps by \(([^)]*)\) m .* t = ([\d.]+)")
 
 
@@ -79,36 +82,85 @@ def span(log: FlightLog, rng: np.random.Generator) -> tuple[float, float]:
     return begin, min(begin + rng.uniform(0.5, 4.0), last)
 
 
+@dataclass
+class Score:
+    """What a watch tells of flights with one kind of fault."""
+
+    flights: int = 0
+    found: int = 0
+    """Flights in which all that was put in is told."""
+
+    soon: int = 0
+    """The same within ``SOON_S`` of each onset."""
+
+    after: list[float] = field(default_factory=list)
+    """From onset to telling [s], of all that was told rightly."""
+
+    off: list[float] = field(default_factory=list)
+    """Distance of a told size from the true one [m]; none of sensors that stand still."""
+
+    others: int = 0
+    """Told and not put in."""
+
+    def add(self, hits: list[tuple[float, float | None]], *, put_in: int, told: int) -> None:
+        """Take one flight: delay and error of each fault that was told rightly, of so many put in and told."""
+        whole = len(hits) == put_in
+        self.flights += 1
+        self.found += whole
+        self.soon += whole and all(delay <= SOON_S for delay, _ in hits)
+        self.after += [delay for delay, _ in hits]
+        self.off += [error for _, error in hits if error is not None]
+        self.others += told - len(hits)
+
+    def row(self, name: str) -> str:
+        """Return a line of the table."""
+        errors = f"{np.median(self.off):.3f}, {max(self.off):.3f}" if self.off else "-"
+        cells = (name, self.flights, self.found, self.soon, _times(self.after), errors, self.others)
+        return f"| {' | '.join(map(str, cells))} |"
+
+
 def score_stream(flights: list[FlightLog], sizes: list[float], rng: np.random.Generator) -> None:
     """Print what a watch tells, of logs as they are, with jumps, and with sensors that stand still."""
     plain = [fault.sentence for log in flights for fault, _ in streamed(log)]
     print(f"told as logged: {len(plain)} {plain}")
-    print("| put in | flights | found | told after: median, largest [s] | others told |")
-    print("| --- | --- | --- | --- | --- |")
+    print(
+        f"| put in | flights | found | told within {SOON_S:g} s | told after: median, largest [s] | error of the size: "
+        "median, largest [m] | others told |"
+    )
+    print("| --- | --- | --- | --- | --- | --- | --- |")
     for size in sizes:
-        after, others, right = list[float](), 0, 0
-        for log in flights:
-            moved, step, begin, end = with_step(log, size, rng)
-            told, hits = streamed(moved), 0
-            for when, sign in ((begin, 1.0), (end, -1.0)):
-                near = [at for fault, at in told if abs(fault.time - when) < 0.1 and _size(fault) @ (sign * step) > 0.0]
-                hits, after = hits + bool(near), after + [at - when for at in near[:1]]
-            right, others = right + (hits == 2), others + len(told) - hits
-        print(f"| jump and return, {size:g} m | {len(flights)} | {right} | {_times(after)} | {others} |")
+        print(jumps_streamed(flights, size, rng).row(f"jump and return, {size:g} m"), flush=True)
     for sensor in SENSORS:
-        after, others, count = list[float](), 0, 0
-        for log in flights:
-            values = getattr(log, sensor)
-            if values is None:
-                continue
-            count += 1
-            begin, end = span(log, rng)
-            still, there = values.copy(), (log.time >= begin) & (log.time < end)
-            still[there] = values[int(np.argmax(there)) - 1]
-            told = streamed(replace(log, **{sensor: still}))
-            near = [at for fault, at in told if fault.sensor == sensor and abs(fault.time - begin) < 0.1]
-            after, others = after + [at - begin for at in near[:1]], others + len(told) - bool(near)
-        print(f"| {sensor} stands still | {count} | {len(after)} | {_times(after)} | {others} |")
+        print(stops_streamed(flights, sensor, rng).row(f"{sensor} stands still"), flush=True)
+
+
+def jumps_streamed(flights: list[FlightLog], size: float, rng: np.random.Generator) -> Score:
+    """Return what is told of a fix that moves by a size [m] and returns."""
+    score = Score()
+    for log in flights:
+        moved, step, begin, end = with_step(log, size, rng)
+        told, hits = streamed(moved), list[tuple[float, float | None]]()
+        for when, true in ((begin, step), (end, -step)):
+            near = [(f, at) for f, at in told if abs(f.time - when) < 0.1 and _size(f) @ true > 0.0]
+            hits += [(at - when, float(np.linalg.norm(_size(fault) - true))) for fault, at in near[:1]]
+        score.add(hits, put_in=2, told=len(told))
+    return score
+
+
+def stops_streamed(flights: list[FlightLog], sensor: str, rng: np.random.Generator) -> Score:
+    """Return what is told of a sensor that stands still, in flights that have it."""
+    score = Score()
+    for log in flights:
+        values = getattr(log, sensor)
+        if values is None:
+            continue
+        begin, end = span(log, rng)
+        still, there = values.copy(), (log.time >= begin) & (log.time < end)
+        still[there] = values[int(np.argmax(there)) - 1]
+        told = streamed(replace(log, **{sensor: still}))
+        near = [at for f, at in told if f.sensor == sensor and abs(f.time - begin) < 0.1]
+        score.add([(at - begin, None) for at in near[:1]], put_in=1, told=len(told))
+    return score
 
 
 def _size(fault: SensorFault) -> np.ndarray:
