@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.position_jumps import HALF_S, PositionJump, integral, largest_jump
+from aerial_gym.sim2real.logs.position_jumps import HALF_S, Offset, PositionJump, integral, largest_jump
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.repeated_samples import (
     LONGEST_FROZEN_S,
@@ -81,6 +81,8 @@ class SensorWatch:
         self._stopped: dict[str, float] = {}
         """Sensors that stand still, and since when [s]."""
         self._jumps: list[tuple[float, PositionJump]] = []
+        self._offset = Offset()
+        """Of all jumps, those that are no longer looked at as well."""
 
     @property
     def blind(self) -> bool:
@@ -121,11 +123,12 @@ class SensorWatch:
         step, position = float(log.time[1] - log.time[0]), log.position.copy()
         for time, jump in self._jumps:
             position[log.time >= time] -= jump.size
-        found = largest_jump(position - integral(log.lin_vel, step), step)
+        found = largest_jump(position - integral(log.lin_vel, step), step, self._offset)
         if found is None or found.first > len(position) - 2 * round(HALF_S / step):
             return
         time = float(log.time[found.first])
         self._jumps = [(at, jump) for at, jump in self._jumps if at >= log.time[0]] + [(time, found)]
+        self._offset = self._offset.and_then(found)
         size, std = (
             dict(zip("xyz", found.size.tolist(), strict=True)),
             dict(zip("xyz", found.std.tolist(), strict=True)),

@@ -4,11 +4,14 @@ What the velocity leaves of the position, ``p - ∫ v dt``, is a constant, a dri
 jump is a step in it: the difference between two half seconds before and after, beside one slope. How large such differences
 are without a jump, the flight itself says, all of it and the seconds around each row; rows with hard manoeuvres have tails, so
 that they are taken as Student's t with few degrees of freedom. A velocity leaps as well, where rows came late: what it does for
-a tenth of a second is taken out of it; what it is wrong for longer looks like a jump. Letters: T rows.
+a tenth of a second is taken out of it; what it is wrong for longer looks like a jump.
+
+A fix that has jumped mostly returns, and then by as much: where the jumps so far leave a position off by o, as surely as one
+jump is told, a difference of ``-o`` is looked for as well. As it is known what it would be, less shows it. Letters: T rows.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,8 +40,31 @@ FREEDOM = 4
 MOST = 20
 """A position with more jumps than that is left as it is, and the log says so."""
 
+LIMIT = float(stats.t.isf(0.5 * HALF_S / (3.0 * 3600.0 * FALSE_ALARM_HOURS), FREEDOM))
+"""What differences without a jump pass, in parts of their scale, once in the hours of a false alarm."""
+
 MAD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Offset:
+    """By how much the jumps so far have moved a position."""
+
+    size: Array = field(default_factory=lambda: np.zeros(3))
+    """[m], world, (3,)."""
+
+    variance: Array = field(default_factory=lambda: np.zeros(3))
+    """[m²], (3,)."""
+
+    def and_then(self, jump: "PositionJump") -> "Offset":
+        """Return it with one more jump."""
+        return Offset(size=self.size + jump.size, variance=self.variance + jump.std**2)
+
+    @property
+    def sure(self) -> bool:
+        """Return whether it is more than what jumps that took each other back are off by."""
+        return bool((np.abs(self.size) > np.maximum(LEAST, LIMIT * np.sqrt(self.variance))).any())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,9 +101,10 @@ def mend_position_jumps(log: FlightLog) -> FlightLog:
     if log.position is None or log.lin_vel is None:
         return log
     step = float(log.time[-1] - log.time[0]) / (log.time.size - 1)
-    position, found, way = log.position, list[PositionJump](), integral(log.lin_vel, step)
-    while (jump := largest_jump(position - way, step)) is not None:
+    position, found, way, offset = log.position, list[PositionJump](), integral(log.lin_vel, step), Offset()
+    while (jump := largest_jump(position - way, step, offset)) is not None:
         found.append(jump)
+        offset = offset.and_then(jump)
         if len(found) > MOST:
             note = f"position jumps more than {MOST} times where the velocity says otherwise (position_jump); left as logged"
             return replace(log, notes=(*log.notes, note))
@@ -102,8 +129,11 @@ def integral(velocity: Array, step: float) -> Array:
     return np.concatenate((np.zeros((1, 3)), np.cumsum(0.5 * step * (velocity[1:] + velocity[:-1]), axis=0)))
 
 
-def largest_jump(left: Array, step: float) -> PositionJump | None:
-    """Return the jump that stands out most of what velocities leave of positions (T, 3), None if none does."""
+def largest_jump(left: Array, step: float, offset: Offset) -> PositionJump | None:
+    """Return the jump that stands out most of what velocities leave of positions (T, 3), None if none does.
+
+    Where none does on its own, one that takes back ``offset``, what the jumps that are already taken out come to.
+    """
     half = max(3, round(HALF_S / step))
     if len(left) < 8 * half:
         return None
@@ -114,11 +144,26 @@ def largest_jump(left: Array, step: float) -> PositionJump | None:
     scale = np.maximum(np.maximum(overall, 1.2533 * near), 1e-9)  # of a normal distribution: its mean size
     odd = np.where(rows > LEAST, rows / scale, 0.0)
     place, axis = np.unravel_index(int(np.argmax(odd)), odd.shape)
-    limit = stats.t.isf(0.5 * HALF_S / (3.0 * 3600.0 * FALSE_ALARM_HOURS), FREEDOM)
-    if odd[place, axis] <= limit:
-        return None
+    if odd[place, axis] <= LIMIT:
+        if not offset.sure:
+            return None
+        back = log_odds_of_return(sizes, scale, offset)
+        place = int(np.argmax(back))
+        if not (rows[place].max() > LEAST and back[place] > np.log(3600.0 * FALSE_ALARM_HOURS / HALF_S)):
+            return None
     row = int(place) + half
     return PositionJump(first=row, last=row, size=sizes[place], std=scale[place])
+
+
+def log_odds_of_return(sizes: Array, scale: Array, offset: Offset) -> Array:
+    """Return the logarithm of the odds that differences (T, 3) take an offset back against that nothing jumps, (T,).
+
+    Densities of Student's t of three axes whose tails come together: a hard manoeuvre shows in all. Without a jump the odds
+    have the mean one, so that they pass c with a probability of at most 1 / c (Markov).
+    """
+    wide = np.sqrt(scale**2 + offset.variance)
+    nothing, back = (np.log1p((x**2).sum(axis=1) / FREEDOM) for x in (sizes / scale, (sizes + offset.size) / wide))
+    return 0.5 * (FREEDOM + 3) * (nothing - back) + np.log(scale / wide).sum(axis=1)
 
 
 def differences(left: Array, half: int) -> Array:

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from aerial_gym.sim2real.logs.flights import mended_log
-from aerial_gym.sim2real.logs.position_jumps import differences, mend_position_jumps
+from aerial_gym.sim2real.logs.position_jumps import (
+    LIMIT,
+    Offset,
+    differences,
+    largest_jump,
+    log_odds_of_return,
+    mend_position_jumps,
+)
 from aerial_gym.sim2real.logs.recording import FlightLog
 
 RATE = 50.0
@@ -118,3 +125,55 @@ def test_without_a_velocity_nothing_is_told() -> None:
     log = with_steps(flown(5), {10.0: (2.0, 0.0, 0.0)})
     alone = FlightLog(path=log.path, time=log.time, attitude=log.attitude, position=log.position)
     assert mend_position_jumps(alone) is alone
+
+
+def known(x: float, y: float, z: float, *, std: float = 0.001) -> Offset:
+    return Offset(size=np.array((x, y, z)), variance=np.full(3, std**2))
+
+
+@pytest.mark.parametrize(
+    ("offset", "told"),
+    [
+        (Offset(), False),
+        (known(0.11, -0.11, 0.11), True),
+        (known(-0.11, 0.11, -0.11), False),
+        (known(0.22, -0.22, 0.22), False),
+        (known(0.11, -0.11, 0.11, std=0.004), False),
+    ],
+)
+def test_a_jump_that_takes_back_what_jumped_is_told_where_none_would_be(offset: Offset, told: bool) -> None:
+    """A step too small to be told alone: it is where it has the other sign of a jump that was sure, and its size."""
+    rng = np.random.default_rng(1)
+    left = 0.006 * rng.standard_normal((1000, 3))
+    left[600:] += (-0.11, 0.11, -0.11)
+    found = largest_jump(left, 1.0 / RATE, offset)
+    assert (found is not None) == told
+    if found is not None:
+        assert abs(found.first - 600) <= 1
+        np.testing.assert_allclose(found.size, (-0.11, 0.11, -0.11), atol=0.02)
+
+
+def test_noise_takes_nothing_back() -> None:
+    """Each of 200 stretches of 20 s, after a jump."""
+    rng = np.random.default_rng(2)
+    for _ in range(200):
+        left = 0.006 * rng.standard_t(4, (1000, 3))
+        assert largest_jump(left, 1.0 / RATE, known(0.11, -0.11, 0.11)) is None
+
+
+def test_the_odds_of_a_return() -> None:
+    """Of Student's t in three axes, by hand: 3.5 times the difference of the logarithms of 1 + d² / 4, less those of widths."""
+    scale, offset = np.full((3, 3), 0.01), Offset(size=np.array((0.1, 0.0, 0.0)), variance=np.full(3, 0.01**2))
+    sizes = np.array(((-0.1, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    wide = -1.5 * np.log(2.0)
+    none, far, once = np.log1p(100.0 / 4.0), np.log1p(0.5 * 400.0 / 4.0), np.log1p(0.5 * 100.0 / 4.0)
+    expected = (3.5 * none + wide, 3.5 * (none - far) + wide, -3.5 * once + wide)
+    np.testing.assert_allclose(log_odds_of_return(sizes, scale, offset), expected, rtol=1e-12)
+
+
+def test_jumps_that_took_each_other_back_leave_nothing_to_return() -> None:
+    """What is left of them is at most what a jump is not told by, or the least jump."""
+    assert known(LIMIT * 0.011, 0.0, 0.0, std=0.01).sure
+    assert not known(LIMIT * 0.009, 0.0, 0.0, std=0.01).sure
+    assert not known(0.09, 0.0, 0.0, std=1e-6).sure
+    assert not Offset().sure
