@@ -31,6 +31,9 @@ SIZES = {"motor_failure": (0.0, 0.95), "weak_motor": (0.3, 0.95), "brown_out": (
 """Ranges of ``scale``."""
 
 RATE_HZ = 200
+SOON_S = 10.0
+"""After its onset a failure should be named by then [s]."""
+
 FLIGHT_S = 14.0
 QUIET_S = 60.0
 
@@ -54,26 +57,30 @@ def failing(seed: int, folder: Path) -> Iterator[dict[str, object]]:
         folder, effects={}, seed=seed, nuisance=True, num_train=len(hidden), num_test=0, duration_s=FLIGHT_S,
         rate_hz=RATE_HZ, failures=hidden,
     )  # fmt: skip
+    truths = json.loads(files.truth.read_text())["failures"]
     for name, alarms, whole, log_s in watched(files):
-        truth = hidden[name]
+        truth, speed = hidden[name], truths[name].get("speed")
         yield {
             "seed": seed,
             "flight": name,
-            "truth": truth.document(),
+            "truth": truths[name],
             "log_s": log_s,
-            "watch": {alarm.stage: judged(alarm.failure, truth, told=alarm.told_s) for alarm in alarms},
-            "close_loop": None if whole is None else judged(whole, truth),
+            "watch": {alarm.stage: judged(alarm.failure, truth, told=alarm.told_s, speed=speed) for alarm in alarms},
+            "close_loop": None if whole is None else judged(whole, truth, speed=speed),
         }
 
 
-def judged(found: Found, truth: Failure, *, told: float | None = None) -> dict[str, object]:
-    """Return a finding beside the truth."""
+def judged(found: Found, truth: Failure, *, told: float | None = None, speed: float | None = None) -> dict[str, object]:
+    """Return a finding beside the truth; ``speed`` is that at which a stuck rotor stands [rad/s]."""
     right = found.name == truth.kind and found.params.get("motor", truth.motor) == truth.motor
     row: dict[str, object] = {"name": found.name, "right": right, "log_odds": found.log_odds}
     if told is not None:
         row["delay_s"] = told - truth.time
     if right:
-        numbers = {"time": truth.time} | ({"scale": truth.scale} if "scale" in found.params else {})
+        sizes = {"scale": truth.scale, "speed": speed}
+        numbers = {"time": truth.time} | {
+            key: size for key, size in sizes.items() if key in found.params and size is not None
+        }
         row["error"] = {key: found.params[key] - value for key, value in numbers.items()}
         row["inside"] = {key: inside(found.interval[key], value) for key, value in numbers.items()}
         if "duration" in found.params:
@@ -120,9 +127,9 @@ def quiet(seed: int, folder: Path, effect: str | None, flights: int, duration_s:
 def tables(fails: Sequence[dict], silent: Sequence[dict]) -> str:
     """Return the tables of a page."""
     lines = [
-        "| hidden | flights | suspected | named right | suspected after [s] | named after [s] | scale: error, inside "
-        "| time: error [ms], inside | `close-loop` right |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        f"| hidden | flights | suspected | named right | within {SOON_S:g} s | suspected after [s] | named after [s] "
+        "| size: error, median and largest, inside | time: error [ms], median and largest, inside | `close-loop` right |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for kind in (*KINDS, "all"):
         rows = [row for row in fails if kind in ("all", row["truth"]["kind"])]
@@ -131,10 +138,13 @@ def tables(fails: Sequence[dict], silent: Sequence[dict]) -> str:
         named = [row["watch"][NAMED] for row in rows if NAMED in row["watch"]]
         seen = [row["watch"][SUSPECTED]["delay_s"] for row in rows if SUSPECTED in row["watch"]]
         right = [one for one in named if one["right"]]
+        size, unit = ("speed", " rad/s") if kind == "stuck_rotor" else ("scale", "")
+        soon = sum(one["delay_s"] <= SOON_S for one in right)
         loop = sum(bool(row["close_loop"] and row["close_loop"]["right"]) for row in rows)
         lines.append(
-            f"| {kind} | {len(rows)} | {len(seen)} | {len(right)} | {_spread(seen)} | {_spread([o['delay_s'] for o in right])} "
-            f"| {_errors(right, 'scale', 1.0)} | {_errors(right, 'time', 1e3)} | {loop} |"
+            f"| {kind} | {len(rows)} | {len(seen)} | {len(right)} | {soon} | {_spread(seen)} "
+            f"| {_spread([one['delay_s'] for one in right])} | {_errors(right, size, 1.0, unit)} "
+            f"| {_errors(right, 'time', 1e3)} | {loop} |"
         )
     lines += ["", "| nothing fails; hidden | hours | told by `watch` | by `close-loop` |", "| --- | --- | --- | --- |"]
     plain, others = ([r for r in silent if (r["hidden"] == "nothing") == wanted] for wanted in (True, False))
@@ -153,12 +163,14 @@ def _spread(values: Sequence[float]) -> str:
     return f"{median(values):.2f} (at most {max(values):.2f})" if values else "-"
 
 
-def _errors(rows: Sequence[dict], name: str, unit: float) -> str:
+def _errors(rows: Sequence[dict], name: str, scale: float, unit: str = "") -> str:
     own = [row for row in rows if name in row["error"]]
     if not own:
         return "-"
     inside = sum(row["inside"][name] for row in own)
-    return f"{unit * median(abs(row['error'][name]) for row in own):.2g}, {inside} of {len(own)}"
+    errors = [scale * abs(row["error"][name]) for row in own]
+    middle, largest = (f"{error:.0f}" if error >= 100.0 else f"{error:.2g}" for error in (median(errors), max(errors)))
+    return f"{middle} and {largest}{unit}, {inside} of {len(own)}"
 
 
 def main() -> int:

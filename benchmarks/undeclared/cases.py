@@ -325,9 +325,16 @@ def _truth(
         "declared_vehicle": vehicle_document(case.declared),
         "rates_hz": {"log": rate_hz, "autopilot": CONTROL_RATE, "plant": CONTROL_RATE * SUBSTEPS},
         **(around if case.features else {}),
-        **({"failures": {n: f.document() for n, f in case.failures.items()}} if case.failures else {}),
+        **({"failures": _failures(case)} if case.failures else {}),
         "flights": {f.name: {"family": f.family, **asdict(s)} for f, s in flights},
     }
+
+
+def _failures(case: FlownCase) -> dict[str, dict[str, object]]:
+    """Return what failed in which flight."""
+    flown = case.record.surroundings.failures
+    assert flown is not None
+    return {f.name: flown.document(row) for row, f in enumerate(case.flights) if f.name in case.failures}
 
 
 LOWEST_ROOM = 0.05

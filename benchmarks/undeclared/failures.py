@@ -66,6 +66,13 @@ class Failures:
             if np.isnan(self._kept[place]):
                 self._kept[place] = rotor[place]
 
+    def document(self, row: int) -> dict[str, object]:
+        """Return the failure of a flight as plain data, with the speed that a rotor kept [rad/s] from when it stuck on."""
+        failure = self._failures[row]
+        assert failure is not None
+        kept = self._kept[row, failure.motor - 1]
+        return failure.document() | ({} if np.isnan(kept) else {"speed": float(kept)})
+
     def led_to(self, target: Array, time: float) -> Array:
         """Return the speeds that rotors tend to [rad/s] in place of those that they would, both (F, 4)."""
         led = np.where(np.isnan(self._kept), target, self._kept)

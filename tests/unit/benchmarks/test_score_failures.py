@@ -1,5 +1,7 @@
 """The judgement of findings against what was hidden, and the tables of it."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from benchmarks.score_failures import KINDS, SIZES, drawn, judged, tables
@@ -38,7 +40,22 @@ def test_the_tables_count_what_is_named_and_what_is_told_of_nothing() -> None:
         {"hidden": "gusts", "hours": 0.25, "watch": [{"stage": "suspected", "name": "weak_motor"}], "close_loop": []},
     ]
     lines = tables(fails, silent).splitlines()
-    assert lines[2].startswith("| motor_failure | 2 | 2 | 1 | 2.49 (at most 2.49) |")
-    assert lines[2].endswith("| 0.005, 1 of 1 | 10, 1 of 1 | 1 |")
+    assert lines[2].startswith("| motor_failure | 2 | 2 | 1 | 1 | 2.49 (at most 2.49) |")
+    assert lines[2].endswith("| 0.005 and 0.005, 1 of 1 | 10 and 10, 1 of 1 | 1 |")
     assert lines[-2] == "| nothing | 0.50 | nothing | nothing |"
     assert lines[-1] == "| one of 1 effects, large | 0.25 | weak_motor (gusts) | nothing |"
+
+
+def test_a_stuck_rotor_has_its_speed_as_its_size_and_late_names_do_not_count_as_soon() -> None:
+    """Speeds of 700 and 702 rad/s told of 705, one of them 11 s after the onset."""
+    hidden = Failure(kind="stuck_rotor", motor=2, time=5.0)
+    rows = []
+    for speed, told in ((700.0, 7.5), (702.0, 16.0)):
+        params, ends = {"motor": 2.0, "speed": speed, "time": 5.0}, {"speed": (speed, speed + 4.0), "time": (4.9, 5.1)}
+        found = replace(failure("a"), name="stuck_rotor", params=params, interval=ends)
+        one = judged(found, hidden, told=told, speed=705.0)
+        rows.append({"truth": hidden.document(), "watch": {"suspected": one, "named": one}, "close_loop": None})
+    line = tables(rows, []).splitlines()[2]
+    assert line.startswith("| stuck_rotor | 2 | 2 | 2 | 1 |")
+    assert "| 4 and 5 rad/s, 1 of 2 |" in line
+    assert tables(rows, []).splitlines()[3].count(" | - | ") == 1

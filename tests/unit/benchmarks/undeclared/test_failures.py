@@ -16,9 +16,10 @@ DT = 5e-4
 TOLD = np.tile([1000.0, 1100.0, 1200.0, 1300.0], (2, 1))
 
 
-def flown(failure: Failure, seconds: float, told: Array = TOLD) -> tuple[FullPlant, Array]:
+def flown(failure: Failure | Failures, seconds: float, told: Array = TOLD) -> tuple[FullPlant, Array]:
     """Return plant and states of two flights from hover, of which the second fails; logs begin with the simulation."""
-    around = Surroundings(failures=Failures([None, failure], 0.0), rate=1.0 / DT)
+    fails = failure if isinstance(failure, Failures) else Failures([None, failure], 0.0)
+    around = Surroundings(failures=fails, rate=1.0 / DT)
     plant = FullPlant(DECLARED, around)
     state = rest_state(DECLARED, np.array([[0.0, 0.0, 50.0]] * 2), np.zeros(2))
     for index in range(round(seconds / DT)):
@@ -46,6 +47,22 @@ def test_a_stuck_rotor_keeps_the_speed_of_its_time() -> None:
     _, state = flown(Failure(kind="stuck_rotor", motor=1, time=0.03), 0.2)
     np.testing.assert_allclose(state[1, ROTOR][0], lagged(DECLARED.hover_speed(), 1000.0, 0.03), rtol=1e-8)
     np.testing.assert_allclose(state[1, ROTOR][1:], state[0, ROTOR][1:], rtol=1e-12)
+
+
+def test_the_truth_says_which_speed_a_stuck_rotor_keeps() -> None:
+    """That at its time; nothing before it has stuck, and nothing of other failures."""
+    fails = Failures([None, Failure(kind="stuck_rotor", motor=2, time=0.03)], 0.0)
+    assert "speed" not in fails.document(1)
+    flown(fails, 0.1)
+    speed = float(lagged(DECLARED.hover_speed(), 1100.0, 0.03))
+    assert fails.document(1) == {
+        "kind": "stuck_rotor",
+        "time": 0.03,
+        "motor": 2,
+        "speed": pytest.approx(speed, rel=1e-8),
+    }
+    weak = Failure(kind="weak_motor", motor=2, scale=0.5, time=0.0)
+    assert Failures([weak], 0.0).document(0) == weak.document()
 
 
 def test_a_brown_out_holds_all_rotors_back_and_ends() -> None:
