@@ -137,11 +137,8 @@ def largest_jump(left: Array, step: float, offset: Offset) -> PositionJump | Non
     half = max(3, round(HALF_S / step))
     if len(left) < 8 * half:
         return None
-    sizes = differences(left, half)  # of the rows half to T - half
+    sizes, scale = scaled_differences(left, step)
     rows = np.abs(sizes)
-    overall = MAD * np.median(rows, axis=0)
-    near = ndimage.uniform_filter1d(np.minimum(rows, 3.0 * overall), 2 * round(AROUND_S / step) + 1, axis=0)
-    scale = np.maximum(np.maximum(overall, 1.2533 * near), 1e-9)  # of a normal distribution: its mean size
     odd = np.where(rows > LEAST, rows / scale, 0.0)
     place, axis = np.unravel_index(int(np.argmax(odd)), odd.shape)
     if odd[place, axis] <= LIMIT:
@@ -153,6 +150,15 @@ def largest_jump(left: Array, step: float, offset: Offset) -> PositionJump | Non
             return None
     row = int(place) + half
     return PositionJump(first=row, last=row, size=sizes[place], std=scale[place])
+
+
+def scaled_differences(left: Array, step: float) -> tuple[Array, Array]:
+    """Return the differences of the rows half to T - half, and how large they are without a jump, (T, 3) [m]."""
+    sizes = differences(left, max(3, round(HALF_S / step)))
+    rows = np.abs(sizes)
+    overall = MAD * np.median(rows, axis=0)
+    near = ndimage.uniform_filter1d(np.minimum(rows, 3.0 * overall), 2 * round(AROUND_S / step) + 1, axis=0)
+    return sizes, np.maximum(np.maximum(overall, 1.2533 * near), 1e-9)  # of a normal distribution: its mean size
 
 
 def log_odds_of_return(sizes: Array, scale: Array, offset: Offset) -> Array:

@@ -1,10 +1,12 @@
 """What a watch tells of jumps that were put into a flight, and how that is counted."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from aerial_gym.sim2real.logs.recording import FlightLog
-from benchmarks.score_jumps import Score, jumps_streamed, stops_streamed
+from benchmarks.score_jumps import Score, jumps_streamed, largest_share, stops_streamed, told
 
 
 def swing(seconds: float = 16.0, rate: float = 100.0) -> FlightLog:
@@ -41,9 +43,23 @@ def test_jumps_and_stops_of_a_quiet_flight_are_told_in_time() -> None:
     assert (jumps.flights, jumps.found, jumps.soon, jumps.others) == (1, 1, 1, 0)
     assert len(jumps.off) == 2
     assert max(jumps.off) < 5e-3
+    stays = jumps_streamed([swing()], 1.0, np.random.default_rng(1), returns=False)
+    assert (stays.found, stays.soon, stays.others) == (1, 1, 0)
+    assert len(stays.off) == 1
     stops = stops_streamed([swing()], "position", np.random.default_rng(1))
     assert (stops.found, stops.soon, stops.others) == (1, 1, 0)
     assert stops_streamed([swing()], "specific_force", np.random.default_rng(1)).flights == 0
+
+
+def test_the_largest_difference_passes_one_where_a_jump_is_told() -> None:
+    """Noise of 1 cm makes differences of some 3 mm: a jump of 12 cm is 40 times that, one of 1 m 300 times."""
+    log, noise = swing(), 0.01 * np.random.default_rng(3).standard_normal((1600, 3))
+    assert log.position is not None
+    assert largest_share(log) == 0.0
+    for size, whether in ((1.0, True), (0.12, False)):
+        moved = replace(log, position=log.position + noise + (log.time > 8.0)[:, None] * (size, 0.0, 0.0))
+        assert largest_share(moved) > 0.2
+        assert (largest_share(moved) > 1.0) == bool(told(moved)) == whether
 
 
 @pytest.mark.parametrize("delay", [9.99, 10.0])
