@@ -5,6 +5,8 @@ differ.
 """
 
 import json
+import random
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -110,6 +112,30 @@ def test_no_name_is_wrong_with_logs_kept_aside(pairs: dict[str, list[HoverEffort
         for aside in pairs:
             if aside not in (condition, f"normal_flight_{condition[-2:]}"):
                 assert right(condition, judged(pairs, condition, baseline=baseline, aside=aside))
+
+
+@pytest.mark.slow
+def test_names_with_few_repeats_are_wrong_no_more_often_than_promised(pairs: dict[str, list[HoverEffort]]) -> None:
+    """Three to seven of the other conditions, drawn: 1 % is promised where a set of names is given at all."""
+    rng, wrong, verdicts = random.Random(0), list[str](), 0
+    for condition in (name for name in pairs if not name.startswith("normal")):
+        normal = f"normal_flight_{condition[-2:]}"
+        others = [name for name in pairs if name not in (condition, normal)]
+        for count, first, baseline in product(range(3, 8), (0, 1), ((0, 1), (0,), (1,))):
+            for _ in range(2):
+                kept = rng.sample(others, count)
+                found = judge_balance(
+                    [pairs[normal][log] for log in baseline],
+                    [pairs[condition][first]],
+                    robot=ROBOTS.get("crazyflie_21"),
+                    test=[pairs[condition][1 - first]],
+                    repeats=[hover for name in kept for hover in pairs[name]],
+                )
+                verdicts += 1
+                if found.fits and not right(condition, found):
+                    wrong.append(f"{condition} {found.freedom} {found.candidates}")
+    print(f"{len(wrong)} of {verdicts} verdicts hold a wrong name and not the right one: {wrong}")
+    assert len(wrong) < 0.01 * verdicts
 
 
 def test_the_heavy_weight_is_no_balance_of_weights(pairs: dict[str, list[HoverEffort]]) -> None:
