@@ -211,9 +211,9 @@ def check_closed_loop(
             f"robot {names[0]} with controller {names[1]}: the explicit gains hold {vain}, about which its rotors have no "
             f"torque, and an error that stays there hides the others. Give attitude gains of 0 about {vain}, or leave them out",
         )
-    radii, margins = loop.radii(dt), loop.margins(dt)
-    if _rests(radii + margins):
+    if loop.is_firm(dt):
         return
+    radii, margins = loop.radii(dt), loop.margins(dt)
     if not _rests(radii):
         fault = f"is unstable: a disturbance at hover grows by a factor of {max(radii):.3g} in each step"
     else:
@@ -316,6 +316,10 @@ class ClosedLoop:
     def margins(self, dt: float) -> list[float]:
         """Return the spectral radius with the declared gains times each of ``LOOP_GAINS``."""
         return [self._radius_with(None, gain, dt) for gain in LOOP_GAINS]
+
+    def is_firm(self, dt: float) -> bool:
+        """Return whether a time step [s] is not refused: the loop comes to rest, also with the margin of ``LOOP_GAINS``."""
+        return _rests(self.radii(dt) + self.margins(dt))
 
     def largest_stable_dt(self, unstable: float) -> float | None:
         """Return the largest time step [s] below an unstable one at which all are stable; None if there is none."""

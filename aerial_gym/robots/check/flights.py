@@ -1,4 +1,4 @@
-"""The largest time step at which a robot comes to rest under a controller, found by flying it.
+"""The largest time step at which a robot comes to rest under a controller, found by flying it, and is not refused.
 
 Where ``control.stability`` looks at the linearised loop, this flies the loop itself, limits, effects and all, from disturbed
 starts near hover, in the physics backend in which it will fly.
@@ -56,7 +56,8 @@ class StableStep:
     """Its name."""
 
     largest_s: float | None = None
-    """Largest time step at which all flights come to rest [s]; None if there is none, or the controller does not fit."""
+    """Largest time step at which all flights come to rest, with the gain margin that an environment asks for [s]; None if there
+    is none, or the controller does not fit."""
 
     at_least: bool = False
     """Whether that is the end of ``STEP_RANGE``, and the true one is larger."""
@@ -81,15 +82,19 @@ def largest_stable_step(robot: RobotCfg, controller: ControllerCfg, *, name: str
     if controller.law not in LAWS:
         return StableStep(controller=name, refused="commands rotors, and holds nothing")
     try:
-        axes = ClosedLoop(robot, controller, gravity=gravity, integrator="euler", names=("this", name)).axes
+        loop = ClosedLoop(robot, controller, gravity=gravity, integrator="euler", names=("this", name))
+
+        def holds(dt: float) -> bool:
+            return loop.is_firm(dt) and _comes_to_rest(robot, controller, dt, loop.axes, gravity)
+
         low, high = STEP_RANGE
-        if _comes_to_rest(robot, controller, high, axes, gravity):
+        if holds(high):
             return StableStep(controller=name, largest_s=high, at_least=True)
-        if not _comes_to_rest(robot, controller, low, axes, gravity):
+        if not holds(low):
             return StableStep(controller=name)
         for _ in range(HALVINGS):
             middle = exp(0.5 * (log(low) + log(high)))
-            low, high = (middle, high) if _comes_to_rest(robot, controller, middle, axes, gravity) else (low, middle)
+            low, high = (middle, high) if holds(middle) else (low, middle)
     except ConfigError as error:
         return StableStep(controller=name, refused=str(error))
     return StableStep(controller=name, largest_s=low)
