@@ -39,7 +39,7 @@ def slow(names: tuple[str, ...]) -> list[ParameterSet]:
     return [pytest.param(name, marks=pytest.mark.slow) for name in names]
 
 
-def run_case(folder: Path, effects: dict[str, str], seed: int, **flights: Any) -> tuple[dict, dict]:
+def run_case(folder: Path, effects: dict[str, Any], seed: int, **flights: Any) -> tuple[dict, dict]:
     files = make_case(folder / "case", effects=effects, seed=seed, **(SHORT | flights))
     close_loop(files.robot, files.train, files.test, folder / "out")
     check_effects(robot_by_name(folder / "out" / "robot.yaml"))
@@ -63,6 +63,20 @@ def test_the_hidden_effect_is_named_and_measured(effect: str, tmp_path: Path) ->
         for axis, entry in verdict["after"][kind].items():
             if axis != "unit":
                 assert entry["rms"] < 2.0 * entry["noise_floor"], (kind, axis)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("effect", "params"), [("weak_motor", {"motor": 3, "scale": 0.98}), ("motor_time_constant", {"tau": 0.0437})]
+)
+def test_what_is_little_beyond_its_tolerance_is_named(effect: str, params: dict[str, float], tmp_path: Path) -> None:
+    """A motor 2 % weak, and a lag of 43.7 ms where 38 are declared, in flights with the small errors that vehicles have."""
+    flights = {"num_test": 3, "duration_s": 16.0, "rate_hz": 400, "nuisance": True}
+    verdict, _ = run_case(tmp_path, {effect: params}, 641, **flights)
+    (found,) = verdict["effects"]
+    assert found["name"] == effect
+    for name, value in params.items():
+        assert found["params"][name] == pytest.approx(value, rel=0.01)
 
 
 @pytest.mark.slow
