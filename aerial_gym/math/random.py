@@ -87,6 +87,18 @@ def counted_uniform(state: Tensor, *, dtype: torch.dtype) -> Tensor:
     return (_scramble(state) >> 8).to(dtype) / 2**24
 
 
+def counted_uniforms(state: Tensor, index: int, width: int, *, dtype: torch.dtype) -> Tensor:
+    """Return uniform draws in [0, 1), (..., width), of each state; ``index`` tells the quantities of one random state apart.
+
+    The same as ``wp.randf(stream)``, one after the other, with ``stream = wp.rand_init(int(state), index)``.
+    """
+    stream, draws = counted_state(state, index), []
+    for _ in range(width):
+        stream = _scramble(stream)
+        draws.append((stream >> 8).to(dtype) / 2**24)
+    return torch.stack(draws, dim=-1)
+
+
 def counted_normal(state: Tensor, index: int, width: int, *, dtype: torch.dtype) -> Tensor:
     """Return normal draws (..., width); ``index`` tells the quantities of one random state apart.
 

@@ -223,6 +223,47 @@ def test_both_backends_draw_the_same_gusts() -> None:
     torch.testing.assert_close(gust_flight(WarpBackend(), 7), gust_flight(TorchBackend(), 7), atol=2e-6, rtol=2e-5)
 
 
+# random force
+
+
+@pytest.mark.parametrize(("dt", "hold"), [(0.002, 0.002), (0.001, 0.002), (0.0005, 0.003), (0.01, 0.002)])
+def test_a_random_force_is_uniform_and_held_for_its_interval(dt: float, hold: float) -> None:
+    """Variance f² / 3 on each axis, independent of the interval before; bounds: five standard deviations of 20,000 draws."""
+    num, largest = 20000, torch.tensor([0.1, 0.2, 0.3], dtype=F64)
+    model = model_of({"random_force": {"x": 0.1, "y": 0.2, "z": 0.3, "hold": hold}}, num)
+    memory, rotors = make_memory(model, dt), torch.zeros(num, 4, dtype=F64)
+    forces: list[Tensor] = []
+    substeps = max(round(hold / dt), 1)
+    for _ in range(3 * substeps):
+        _, _, memory = begin_substep(model, memory, rotors, rotors, dt)
+        forces.append(memory.numbers / largest)
+        memory = end_substep(memory, load_of(model, memory))
+    for i, force in enumerate(forces):
+        assert torch.equal(force, forces[i - i % substeps])
+    for i in range(0, 3 * substeps, substeps):
+        assert (forces[i].abs() <= 1.0).all()
+        assert (forces[i].mean(0).abs() < 5.0 * sqrt(1.0 / 3.0 / num)).all()
+        assert ((3.0 * forces[i].var(0) - 1.0).abs() < 5.0 * sqrt(0.8 / num)).all()  # E x^4 = 1/5: var of 3 x² is 0.8
+    products = (forces[substeps][:, None] * forces[0][..., None]).mean(0)
+    assert (products.abs() < 5.0 / 3.0 / sqrt(num)).all()
+
+
+@pytest.mark.parametrize("backend", [TorchBackend, WarpBackend])
+def test_a_random_force_pushes_along_the_world_alike_on_both_backends(backend) -> None:
+    """Along world z alone at any attitude; the velocity after n intervals has the deviation f sqrt(n / 3) T / m."""
+    num, steps, hold, largest = 4000, 50, 0.002, 0.1
+    vehicle = vehicle_from_config(lopsided_robot(), num_envs=num)
+    rows = [(EFFECTS.get("random_force"), torch.tensor([0.0, 0.0, largest, hold]).expand(num, -1))]
+    stepper = backend()
+    stepper.allocate(build_model(vehicle, rows, gravity=0.0), Straight(), integrator="euler", random=Randomness(num))
+    state = single(still(num, attitude=quat_from_euler(torch.tensor([[0.4, -0.7, 1.0]], dtype=F64))[0].tolist()))
+    stepper.step(state, torch.zeros(num, 4), hold, steps)
+    assert state.lin_vel[:, :2].abs().max() < 1e-6
+    assert state.ang_vel.abs().max() < 1e-6
+    deviation = largest * sqrt(steps / 3.0) * hold / lopsided_robot().body.mass
+    assert abs(state.lin_vel[:, 2].std().item() / deviation - 1.0) < 5.0 / sqrt(2.0 * num)
+
+
 # ceiling and downwash
 
 

@@ -40,6 +40,7 @@ for _name, _class in (
     ("constant_wind", "ConstantWind"),
     ("wind_shear", "WindShear"),
     ("gusts", "Gusts"),
+    ("random_force", "RandomForce"),
     ("ground_effect", "GroundEffect"),
     ("ceiling_effect", "CeilingEffect"),
     ("downwash", "Downwash"),

@@ -1,0 +1,88 @@
+"""A random force: uniform in a box along the axes of the world, drawn anew at even intervals, without memory of the last one.
+
+``F_i`` is uniform in -f_i to f_i, at the centre of mass, and held for T; what it adds to the velocity within a time t, many
+intervals, has the standard deviation ``f_i sqrt(t T / 3) / m`` on each axis. The interval begins anew at the first substep
+that ends more than half a substep behind its end; T shorter than a substep is a substep.
+Source: Derived: the variance of a uniform draw is ``f² / 3``, and those of t / T independent impulses ``F T`` add up. As a
+disturbance it is that of github learnsyslab/lsy_drone_racing (envs/race_core.py): 0.1 N, 500 times a second.
+"""
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.math.draws import draw_vec3
+from aerial_gym.math.quaternion import quat_rotate_inverse
+from aerial_gym.math.random import counted_uniforms
+from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, Moment, Parameter, WrenchEffect
+
+QUANTITY = wp.constant(1)
+"""Tells its draws from those of ``gusts`` in the same substep."""
+
+
+class RandomForce(WrenchEffect):
+    """Random pushes."""
+
+    name = "random_force"
+    summary = "random force, uniform in a box, drawn anew at even intervals"
+    parameters = (
+        *(
+            Parameter(name=axis, unit="N", low=0.0, high=100.0, scale=0.1, meaning=f"largest force along world {axis}")
+            for axis in "xyz"
+        ),
+        Parameter(name="hold", unit="s", low=0.0001, high=100.0, scale=0.002, meaning="interval T between two draws"),
+    )
+    excitation = "flights much longer than the interval"
+    confused_with = ("gusts",)
+    rotors = ANY_ROTOR
+    memory = (0.0, 0.0, 0.0)
+    """Force [N], world."""
+    random = True
+
+    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
+        """Return no force."""
+        del robot
+        return 0.0, 0.0, 0.0, 0.002
+
+    def remember(self, moment: Moment, values: Tensor) -> Tensor:
+        """Return the force of this substep, (E, 3)."""
+        share = moment.dt / values[:, 3]
+        since = moment.since.to(values.dtype)
+        begins = (moment.since == 0) | (((since + 0.5) * share).floor() > ((since - 0.5) * share).floor())
+        drawn = values[:, :3] * (2.0 * counted_uniforms(moment.random, 1, 3, dtype=values.dtype) - 1.0)
+        return torch.where(begins.unsqueeze(-1), drawn, values[:, 4:])
+
+    def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
+        """Return the same in Warp."""
+        numbers = wp.types.vector(length=7, dtype=wp.float32)
+
+        @wp.func
+        def next_force(plant: vehicle, now: moment, values: numbers) -> numbers:
+            share = now.dt / values[3]
+            since = float(now.since)
+            after = values
+            if now.since == 0 or wp.floor((since + 0.5) * share) > wp.floor((since - 0.5) * share):
+                largest = wp.vec3(values[0], values[1], values[2])
+                force = draw_vec3(now.random, QUANTITY, -largest, largest)
+                for i in range(3):
+                    after[4 + i] = force[i]
+            return after
+
+        return next_force
+
+    def wrench(self, condition: Condition, params: Tensor) -> Tensor:
+        """Return the remembered force in body axes, without torque, (E, 6)."""
+        force = quat_rotate_inverse(condition.attitude, params[:, 4:])
+        return torch.cat((force, torch.zeros_like(force)), dim=-1)
+
+    def warp_wrench(self, condition: type) -> wp.Function:
+        """Return the same in Warp."""
+        numbers = wp.types.vector(length=7, dtype=wp.float32)
+
+        @wp.func
+        def random_force(at: condition, values: numbers) -> wp.spatial_vector:
+            force = wp.quat_rotate_inv(at.attitude, wp.vec3(values[4], values[5], values[6]))
+            return wp.spatial_vector(force, wp.vec3())
+
+        return random_force
