@@ -250,7 +250,7 @@ class CommandCfg:
 
 @dataclass(frozen=True, kw_only=True)
 class ActionCfg:
-    """From what a policy gives to what the controller takes: transformed, delayed, filtered."""
+    """From what a policy gives to what the controller takes: transformed, delayed, filtered, and disturbed."""
 
     transform: str = "direct"
     """Name in ``aerial_gym.task.ACTIONS``."""
@@ -265,7 +265,13 @@ class ActionCfg:
     filter_time_s: float = 0.0
     """Time constant of a first-order low pass of the delayed command [s], >= 0; 0 is none. It begins at the first command."""
 
+    noise_std: float = 0.0
+    """Standard deviation of white noise on every entry of the command that the controller takes, drawn in each step, in the
+    units of the command, >= 0."""
+
     def __post_init__(self) -> None:
         _check_steps(self, "delay_steps")
+        if not 0.0 <= self.noise_std < inf:
+            raise ConfigError(f"ActionCfg.noise_std = {self.noise_std!r}: must be >= 0 and finite")
         if not 0.0 <= self.filter_time_s < inf:
             raise ConfigError(f"ActionCfg.filter_time_s = {self.filter_time_s!r}: must be >= 0 and finite")

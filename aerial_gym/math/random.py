@@ -63,6 +63,8 @@ class Purpose(IntEnum):
     """When faults of sensors begin and how long they last; index: which of them."""
     FAULT = 23
     """Whether an episode has a fault, and how far a jump goes; index: which of them."""
+    ACTION_NOISE = 24
+    """Noise of commands; indices: step, entry."""
 
 
 def _scramble(state: Word) -> Word:

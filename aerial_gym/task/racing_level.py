@@ -6,7 +6,6 @@ reward, what a policy sees) is that of ``racing_task``; ``docs/racing.md`` says 
 Frames: world, z up; Euler angles there are extrinsic xyz, which is ZYX here.
 """
 
-import logging
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -33,8 +32,6 @@ NO_SPREAD = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 Range = tuple[Vec3, Vec3]
 """Lowest and highest offset."""
-
-_log = logging.getLogger(__name__)
 
 
 def load_level(path: str | Path, base: TaskCfg, robot: RobotCfg) -> TaskCfg:
@@ -65,8 +62,7 @@ def _task_of(level: Mapping[str, Any], base: TaskCfg, robot: RobotCfg, *, name: 
     env, sim = level["env"], level["sim"]
     if sim["drone_model"] != VEHICLE:
         raise ConfigError(f"sim.drone_model = {sim['drone_model']!r}: only {VEHICLE} is known")
-    if env.get("disturbances"):
-        _log.warning("%s: env.disturbances are not simulated: %s", name, ", ".join(env["disturbances"]))
+    disturbances = env.get("disturbances", {})
     spread = _Spreads(env.get("randomizations", {}))
     if env["track"].get("randomize", False) and len(env["track"]["obstacles"]) > len(env["track"]["gates"]):
         raise ConfigError("env.track: more obstacles than gates cannot be drawn")
@@ -77,7 +73,8 @@ def _task_of(level: Mapping[str, Any], base: TaskCfg, robot: RobotCfg, *, name: 
         sim=_sim_of(sim["freq"]),
         env=where,
         start=_start_of(env["track"], spread, where),
-        randomize=_randomize_of(spread, robot),
+        randomize=_randomize_of(spread, robot) | _forces_of(disturbances, sim["freq"]),
+        action=replace(base.action, noise_std=_command_noise_of(disturbances)),
         command=_command_of(base, env["sensor_range"]),
         source=f"{name}.toml; the rest: {base.source}",
     )
@@ -196,6 +193,33 @@ def _randomize_of(spread: _Spreads, robot: RobotCfg) -> dict[str, RandomizeCfg]:
         low, high = ends
         found["body.inertia"] = RandomizeCfg(low=low, high=high)
     return found
+
+
+def _forces_of(disturbances: Mapping[str, Any], freq: float) -> dict[str, RandomizeCfg]:
+    """Return the largest forces of the effect ``random_force``, which is drawn at every step of the simulation there."""
+    for name in disturbances:
+        if name not in ("action", "dynamics"):
+            raise ConfigError(f"env.disturbances.{name}: unknown. Known: action, dynamics")
+    if "dynamics" not in disturbances:
+        return {}
+    given = disturbances["dynamics"]
+    if given["fn"] != "uniform":
+        raise ConfigError(f"env.disturbances.dynamics.fn = {given['fn']!r}: must be 'uniform'")
+    low, high = _vector(given["kwargs"]["minval"]), _vector(given["kwargs"]["maxval"])
+    if any(a != -b for a, b in zip(low, high, strict=True)):
+        raise ConfigError(f"env.disturbances.dynamics: minval = {low!r}, maxval = {high!r}: must be opposite")
+    values = {"x": high[0], "y": high[1], "z": high[2], "hold": 1.0 / freq}
+    return {f"effects.random_force.{key}": RandomizeCfg(how="value", low=v, high=v) for key, v in values.items()}
+
+
+def _command_noise_of(disturbances: Mapping[str, Any]) -> float:
+    """Return the deviation of the noise on commands, there in rad and N, here in weights and rad/s."""
+    if "action" not in disturbances:
+        return 0.0
+    given = disturbances["action"]
+    if given["fn"] != "normal":
+        raise ConfigError(f"env.disturbances.action.fn = {given['fn']!r}: must be 'normal'")
+    return float(given["scale"])
 
 
 def _command_of(base: TaskCfg, sensor_range: float) -> Any:

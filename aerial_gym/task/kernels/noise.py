@@ -1,4 +1,4 @@
-"""Noise of what a policy observes.
+"""Noise of what a policy observes, and of what it commands.
 
 Letters: E environments, N entries of an observation that have noise or drop out.
 """
@@ -33,18 +33,27 @@ def _draw_noise(
     noise_out[env, i] = wp.where(wp.randf(state) < dropout[i], wp.inf, noise)
 
 
-class ObservationNoise:
-    """Draws normal noise, and which are dropped, for the entries of observations that ask for it; all views made at once."""
+class WhiteNoise:
+    """Draws normal noise, and which are dropped, for the entries that ask for it; all views made at once."""
 
-    def __init__(self, kinds: Mapping[int, tuple[float, float]], step: Tensor, random: Randomness) -> None:
+    def __init__(
+        self,
+        kinds: Mapping[int, tuple[float, float]],
+        step: Tensor,
+        random: Randomness,
+        *,
+        purpose: Purpose = Purpose.OBSERVATION,
+    ) -> None:
         """Take what the draws depend on.
 
         Args:
             kinds: Standard deviation of the noise and probability of being dropped, of each entry with either, by its number.
             step: Step of the episode, int32, (E,); read at every draw.
             random: Of the draws.
+            purpose: Of the draws that are not of a last observation.
         """
         start_warp()
+        self._purpose = purpose
         device = step.device
         self.noise = torch.zeros(random.num_envs, len(kinds), device=device)
         """What was drawn last, (E, N), in the order of the entries given; infinity where one is dropped."""
@@ -53,7 +62,7 @@ class ObservationNoise:
         )
         entries = torch.tensor(list(kinds), device=device, dtype=torch.int32)
         self._kept_alive = (stds, dropouts, entries, step, random)
-        given = [random_arrays(random), int(Purpose.OBSERVATION)]
+        given = [random_arrays(random), int(purpose)]
         given += [wp.from_torch(tensor) for tensor in (step, stds, dropouts, entries)] if kinds else []
         self._command = None
         if kinds:
@@ -68,6 +77,6 @@ class ObservationNoise:
     def draw(self, *, final: bool = False) -> None:
         """Draw the noise of the present step of the present episodes; the last observation of one has noise of its own."""
         if self._command is not None:
-            self._command.set_param_at_index(1, int(Purpose.FINAL_OBSERVATION if final else Purpose.OBSERVATION))
+            self._command.set_param_at_index(1, int(Purpose.FINAL_OBSERVATION if final else self._purpose))
             with on_torch_stream(self.noise):
                 self._command.launch()

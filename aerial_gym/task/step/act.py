@@ -1,4 +1,4 @@
-"""What becomes of an action on its way to the controller: transform, delay, first-order filter, one kernel.
+"""What becomes of an action on its way to the controller: transform, delay, first-order filter, noise; one kernel.
 
 The filter is the exact low pass of a command that is held over a step, ``y += (1 - exp(-dt / tau)) (u - y)``.
 Letters: E environments, V entries of an action, U of a command.
@@ -14,6 +14,7 @@ from torch import Tensor
 from aerial_gym.config.task_terms import ActionCfg, steps_range
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.random import Purpose, Randomness
+from aerial_gym.task.kernels.noise import WhiteNoise
 from aerial_gym.task.kernels.uniform import UniformDraws
 from aerial_gym.task.step.by_row import NamedRows
 from aerial_gym.task.step.lines import Line
@@ -22,6 +23,9 @@ from aerial_gym.task.values import Values
 
 LINE, DELAY, FILTERED, POLICY_ACTION = "command_line", "action_delay", "filtered_command", "policy_action"
 """Buffers."""
+
+NOISE = "command_noise"
+"""What is drawn of it in a step, beside them."""
 
 
 def declare_delay(cfg: ActionCfg, values: Values) -> None:
@@ -48,14 +52,14 @@ class Actor:
         """Take what is between, and declare what it remembers; make it when everyone has said what they read.
 
         Args:
-            cfg: Delay and filter.
+            cfg: Delay, filter and noise.
             action: The transform.
             params: Its numbers.
             values: Of the task.
             num_actions: V.
             num_commands: U.
             dt: Length of a step [s].
-            random: Of the delays.
+            random: Of delays and noise.
         """
         self.transform, self.params = action.value, params
         low, high = steps_range(cfg.delay_steps)
@@ -71,6 +75,11 @@ class Actor:
             self._draws = UniformDraws(
                 reads[DELAY], [(low, high)], purpose=Purpose.ACTION_DELAY, random=random, whole=True
             )
+        self._noise: WhiteNoise | None = None
+        if cfg.noise_std > 0.0:
+            kinds = dict.fromkeys(range(num_commands), (cfg.noise_std, 0.0))
+            self._noise = WhiteNoise(kinds, values.gtd["sim_steps"], random, purpose=Purpose.ACTION_NOISE)
+            reads[NOISE] = self._noise.noise
         if self._gain is not None:
             writes[FILTERED] = values.declare(FILTERED, (num_commands,), meaning="command behind the low pass")
         if POLICY_ACTION in values.own:
@@ -79,7 +88,7 @@ class Actor:
         self._check(cfg.transform, given, num_commands)
         self.rows = None
         """The kernel; None where nothing is between."""
-        if writes or self.transform is not direct:
+        if writes or self._noise is not None or self.transform is not direct:
             reads |= {"action": given} | writes
             self.rows = NamedRows(self._command, "the action", reads=reads, writes=writes, graph=values.graph)
 
@@ -103,6 +112,8 @@ class Actor:
 
     def __call__(self, actions: Tensor) -> Tensor:
         """Return the commands (E, U) of actions (E, V), and move line and filter on."""
+        if self._noise is not None:
+            self._noise.draw()
         return actions if self.rows is None else self.rows(action=actions)["command"]
 
     def _command(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -116,6 +127,8 @@ class Actor:
             before = torch.where(begun.unsqueeze(-1), command, values[FILTERED])
             command = before + self._gain * (command - before)
             found[FILTERED] = command
+        if NOISE in values:
+            command = command + values[NOISE]
         if POLICY_ACTION in values:
             found[POLICY_ACTION] = action
         return found | {"command": command}

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from aerial_gym.config.task_terms import FaultCfg, ObservationCfg, steps_range
 from aerial_gym.math.random import Purpose, Randomness
-from aerial_gym.task.kernels.noise import ObservationNoise
+from aerial_gym.task.kernels.noise import WhiteNoise
 from aerial_gym.task.kernels.uniform import UniformDraws
 from aerial_gym.task.step.by_row import NamedRows
 from aerial_gym.task.step.faults import Faults, widths_of
@@ -127,7 +127,7 @@ class Observer:
                     ranges.append((low, high))
                 self.groups[group].append(entry)
                 column += width
-        self._noise = ObservationNoise(noise, values.gtd["sim_steps"], random)
+        self._noise = WhiteNoise(noise, values.gtd["sim_steps"], random)
         self._delays: UniformDraws | None = None
         delays = values.declare(DELAYS, (len(ranges),), unit="steps", meaning="how late terms are in this episode")
         if ranges:

@@ -78,6 +78,8 @@ def test_numbers_of_an_observation_are_checked(given: dict, message: str) -> Non
 
 
 def test_numbers_of_actions_and_images_are_checked() -> None:
+    with pytest.raises(ConfigError, match="ActionCfg.noise_std = -0.1: must be >= 0"):
+        ActionCfg(noise_std=-0.1)
     with pytest.raises(ConfigError, match="ActionCfg.filter_time_s = -1.0"):
         ActionCfg(filter_time_s=-1.0)
     with pytest.raises(ConfigError, match="ActionCfg.delay_steps = -1"):
