@@ -24,12 +24,16 @@ PLACE = Nuisance(kind="position", channel="specific_force.x", columns=[], size=1
 def fitted(
     *effects: str,
     log: float = 0.0,
+    fits: float | None = None,
     structures: tuple[Nuisance, ...] = (),
     overdispersion: float = 1.0,
     odds: Mapping[str, float] | None = None,
     params: Mapping[str, Sequence[float]] | None = None,
 ) -> Fitted:
-    """Return a fitted set of a log posterior, at neutral but for ``params``; each effect holds by 10, or by its ``odds``."""
+    """Return a fitted set of a log posterior, at neutral but for ``params``; each effect holds by 10, or by its ``odds``.
+
+    ``fits`` is its log likelihood; the log posterior if None.
+    """
     values = {name: np.array((params or {}).get(name, EFFECTS.get(name).neutral(ROBOT)), float) for name in effects}
     size = sum(own.size for own in values.values())
     return Fitted(
@@ -37,7 +41,13 @@ def fitted(
         structures=structures,
         params=ModelParams(effects=values),
         log_posterior=log,
-        parameters=Posterior(columns=np.arange(size), step=np.zeros(size), covariance=np.eye(size), log_evidence=log),
+        parameters=Posterior(
+            columns=np.arange(size),
+            step=np.zeros(size),
+            covariance=np.eye(size),
+            log_evidence=log,
+            log_likelihood=log if fits is None else fits,
+        ),
         support={
             name: Support(log_odds=(odds or {}).get(name, 10.0), wald=0.0, overdispersion=overdispersion, size=1)
             for name in effects

@@ -49,7 +49,11 @@ ENOUGH = 2.0
 """Log likelihood, over the overdispersion of the best, that a fit which is only compared may leave to the model about it."""
 
 NOTHING = Posterior(
-    columns=np.zeros(0, dtype=np.int64), step=np.zeros(0), covariance=np.zeros((0, 0)), log_evidence=-np.inf
+    columns=np.zeros(0, dtype=np.int64),
+    step=np.zeros(0),
+    covariance=np.zeros((0, 0)),
+    log_evidence=-np.inf,
+    log_likelihood=-np.inf,
 )
 """Of a fit that went nowhere."""
 

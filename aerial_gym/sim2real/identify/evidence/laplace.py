@@ -145,6 +145,9 @@ class Posterior:
 
     log_evidence: float
 
+    log_likelihood: float
+    """Of the best parameters, with what the deviations within tolerances and structures cost: nothing of priors of effects."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Candidates:
@@ -203,8 +206,14 @@ def posterior(candidates: Candidates, normal: Normal, model: Model) -> Posterior
         effects,
         start=start,
     )
+    best = step[0]
+    fits = normal.gradient[columns] @ best - 0.5 * best @ normal.product[columns[:, None], columns] @ best
     return Posterior(
-        columns=columns, step=step[0], covariance=covariance[0], log_evidence=normal.constant + float(log_evidence[0])
+        columns=columns,
+        step=best,
+        covariance=covariance[0],
+        log_evidence=normal.constant + float(log_evidence[0]),
+        log_likelihood=normal.constant + float(fits - 0.5 * best[count:] @ best[count:]),
     )
 
 

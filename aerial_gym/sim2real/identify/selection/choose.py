@@ -315,10 +315,16 @@ class _Chooser:
 def narrowest(present: Fitted, fits: Iterable[Fitted], reach: float) -> Fitted:
     """Return a set, or the best of those with a narrower case of one of its effects that are less than ``reach`` behind.
 
-    Where flights do not tell them apart, the narrower case is meant (``Effect.contains``).
+    Where flights do not tell them apart, the narrower case is meant (``Effect.contains``). They do by what the wider one fits
+    better with what it has more, not by how little was expected of what the narrower one has instead: a shear that does not
+    grow has no vertical wind.
     """
-    least = present.log_posterior - reach
-    cases = [one for one in fits if one.holds and one.log_posterior > least and _narrower(one, present)]
+    likely, fit = present.log_posterior - reach, present.parameters.log_likelihood - reach
+    cases = [
+        one
+        for one in fits
+        if one.holds and _narrower(one, present) and (one.log_posterior > likely or one.parameters.log_likelihood > fit)
+    ]
     return max(cases, key=lambda one: one.log_posterior, default=present)
 
 

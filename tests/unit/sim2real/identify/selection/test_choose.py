@@ -244,3 +244,10 @@ def test_of_a_case_and_a_wider_one_that_are_not_told_apart_the_narrower_is_meant
     others = [fitted("rotor_drag", log=-0.1), fitted(log=-0.2), fitted("constant_wind", log=0.0, structures=(PLACE,))]
     assert narrowest(wide, [wide, *others], 3.0) is wide
     assert narrowest(wide, [wide, *others, fitted("constant_wind", log=-behind)], 3.0).effects == (expected,)
+
+
+@pytest.mark.parametrize(("fits", "expected"), [(-1.0, "constant_wind"), (-5.0, "wind_shear")])
+def test_a_wider_case_is_told_by_what_it_fits_better(fits: float, expected: str) -> None:
+    """Behind by what was expected of its vertical wind, a steady wind that fits as well is meant."""
+    wide, steady = fitted("wind_shear", log=0.0), fitted("constant_wind", log=-8.0, fits=fits)
+    assert narrowest(wide, [wide, steady], 3.0).effects == (expected,)
