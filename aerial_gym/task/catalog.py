@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from aerial_gym.config import CONFIG_DIR, load
 from aerial_gym.config.task import CurriculumCfg, TaskCfg
-from aerial_gym.config.task_terms import ImageCfg, ObservationCfg, RewardCfg
+from aerial_gym.config.task_terms import CommandCfg, ImageCfg, ObservationCfg, RewardCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.registry import Registry
 
@@ -305,6 +305,22 @@ def _random_track() -> TaskCfg:
 
 
 task_registry.register_later("racing_random_track_task", _random_track)
+
+
+def _polynomial_tracking() -> TaskCfg:
+    """tracking_task on tracks that every reset draws in place of the figure eight."""
+    task = task_registry.get("tracking_task")
+    limits = {"max_speed": 2.5, "max_acceleration": 4.0}
+    return replace(
+        task,
+        summary="follow a point on a smooth track of minimum snap through points that every reset draws; attitude commands",
+        episode_len_steps=800,
+        command=CommandCfg(generator="polynomial", params={"points": 5, "size": [1.5, 1.5, 0.5], **limits}),
+        source=f"{task.source}. Tracks: Mellinger and Kumar (2011); limits about those of the figure eight",
+    )
+
+
+task_registry.register_later("polynomial_tracking_task", _polynomial_tracking)
 
 
 def _pixel_navigation() -> TaskCfg:

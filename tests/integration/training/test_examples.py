@@ -141,6 +141,14 @@ def test_a_law_that_leads_follows_more_closely(told: Told, tmp_path: Path) -> No
 
 
 @pytest.mark.slow
+def test_smooth_tracks_are_followed_more_closely_by_their_acceleration(told: Told) -> None:
+    (_, (slow, _)), (_, (near, speed)), (_, (quick, _)), (_, (less, faster)) = told("smooth_track.py", 16)
+    assert near < 0.5 * slow
+    assert less < 0.5 * quick
+    assert 1.0 < speed < 2.5 < faster < 5.0
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", runpy.run_path(str(EXAMPLES / "tasks" / "learn.py"))["TASKS"])
 def test_what_no_law_flies_is_learned(told: Told, tmp_path: Path, name: str) -> None:
     """One update and its flights."""
