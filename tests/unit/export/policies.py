@@ -51,21 +51,34 @@ def drawn_policy(
     return policy.requires_grad_(False).eval()
 
 
-def hovering_policy() -> Policy:
+def hovering_policy(*, memory: bool = False) -> Policy:
     """Return a position controller as a network: linear in position error, velocity and yaw, as ``relu(x) - relu(-x)``.
 
     Attitude commands (thrust - 1, roll, pitch, yaw rate) of 13 observations: error in the world, quaternion, velocity in the
-    body, rates. Right near level and near heading 0, where the task begins.
+    body, rates. Right near level and near heading 0, where the task begins. With a memory a gated recurrent unit takes the mean
+    of what it remembers and ``tanh`` of a tenth of each of the eight, of which the head takes ten times as much: a low pass.
     """
     law = torch.zeros(4, 13)
     law[0, 2], law[0, 9] = 0.6, -0.5
     law[2, 0], law[2, 7] = 0.25, -0.3
     law[1, 1], law[1, 8] = -0.25, 0.3
     law[3, 5] = -2.0
-    policy = Policy(BodyCfg(shapes={"observations": (13,)}, hidden_layers=(8,), activation="relu", normalize=False), 4)
-    (linear, _), head = policy.body.layers, policy.head
+    body = BodyCfg(
+        shapes={"observations": (13,)},
+        hidden_layers=(8,),
+        activation="relu",
+        normalize=False,
+        memory=8 if memory else 0,
+    )
+    policy = Policy(body, 4)
+    (linear, _), head, cell = policy.body.layers, policy.head, policy.body.cell
     linear.weight.data, linear.bias.data = torch.cat((law, -law)), torch.zeros(8)
     head.weight.data, head.bias.data = torch.cat((torch.eye(4), -torch.eye(4)), dim=1), torch.zeros(4)
+    if cell is not None:
+        for weight in cell.parameters():
+            weight.data.zero_()  # gates of zero are half open
+        cell.weight_ih.data[16:] = 0.1 * torch.eye(8)
+        head.weight.data *= 10.0
     return policy.requires_grad_(False).eval()
 
 
