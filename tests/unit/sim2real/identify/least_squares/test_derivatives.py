@@ -1,0 +1,90 @@
+"""Derivatives of predictions whose closed form is known."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from aerial_gym.robots import ROBOTS
+from aerial_gym.sim2real.identify.least_squares.derivatives import (
+    effect_jacobian,
+    exact_along,
+    tolerance_jacobian,
+    tolerated,
+)
+from aerial_gym.sim2real.identify.least_squares.parameters import bounds_of, scales
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.tolerances import of_logs
+
+ROBOT = ROBOTS.get("base_quadrotor")
+ROWS = np.array([1.0, -2.0, 3.0])
+NUM_TOLERANCES = of_logs(4).size
+
+
+def predictor(**predicts: object) -> SimpleNamespace:
+    return SimpleNamespace(robot=ROBOT, num_tolerances=NUM_TOLERANCES, **predicts)
+
+
+def of_deviations(point: ModelParams) -> list[np.ndarray]:
+    """Return two channels that follow the product of the first two deviations, and the third: (rows, 2)."""
+    d = np.zeros(NUM_TOLERANCES) if point.deviation is None else point.deviation
+    return [np.outer(ROWS, (d[0] * d[1] + d[0], d[2]))]
+
+
+def test_derivatives_half_way_to_deviations_say_what_they_do_together() -> None:
+    """Of a product the derivatives at no deviation say nothing, and those at the deviations twice as much."""
+    deviation = np.zeros(NUM_TOLERANCES)
+    deviation[:3] = 0.8, -1.5, 2.0
+    point = ModelParams(effects={}, deviation=deviation)
+    (columns,) = tolerance_jacobian(predictor(predict=of_deviations), point)  # type: ignore[arg-type]
+    together = of_deviations(point)[0]
+    np.testing.assert_allclose(columns @ deviation, together, atol=1e-9)
+    (nowhere,) = tolerance_jacobian(predictor(predict=of_deviations), ModelParams(effects={}))  # type: ignore[arg-type]
+    np.testing.assert_allclose(nowhere @ deviation, np.outer(ROWS, (0.8, 2.0)), atol=1e-9)
+
+
+def test_what_is_tolerated_is_what_the_vehicle_may_be_off_by_and_not_its_log() -> None:
+    """Each deviation of the vehicle moves its channel by one, each of the log by a hundred."""
+    sizes = np.where(of_logs(4), 100.0, 1.0)
+
+    def predict(point: ModelParams) -> list[np.ndarray]:
+        d = np.zeros(NUM_TOLERANCES) if point.deviation is None else point.deviation
+        return [np.full((5, 1), float(sizes @ d))]
+
+    found = tolerated(predictor(predict=predict), ModelParams(effects={}))  # type: ignore[arg-type]
+    assert found == pytest.approx(np.sqrt(np.count_nonzero(np.logical_not(of_logs(4)))))
+
+
+def test_derivatives_by_parameters_are_per_scale_within_bounds_and_of_numbers_alone() -> None:
+    """At the upper bound the difference is taken downwards; the number of a motor has none; others stand behind."""
+    asked: list[float] = []
+
+    def predict(point: ModelParams) -> list[np.ndarray]:
+        _, scale = point.effects["weak_motor"]
+        asked.append(scale)
+        return [np.outer(ROWS, (scale**2, 1.0))]
+
+    (_, top), scale = bounds_of(ROBOT, ("weak_motor",))[1], scales(("weak_motor",))[1]
+    point = ModelParams(effects={"weak_motor": np.array([2.0, top])})  # the number of the motor, and its scale
+    beside = [np.full((3, 2, 1), 7.0)]
+    (found,) = effect_jacobian(predictor(predict=predict), point, ("weak_motor",), predict(point), beside=beside)  # type: ignore[arg-type]
+    assert found.shape == (3, 2, 3)
+    assert asked == [top, pytest.approx(top - 1e-3 * scale)]
+    np.testing.assert_array_equal(found[:, :, 0], 0.0)
+    np.testing.assert_allclose(found[:, 0, 1], ROWS * (2.0 * top - 1e-3 * scale) * scale)
+    np.testing.assert_array_equal(found[:, 1, 1], 0.0)
+    np.testing.assert_array_equal(found[:, :, 2], 7.0)
+
+
+def test_derivatives_are_made_exact_along_a_step_and_kept_across_it() -> None:
+    rng = np.random.default_rng(0)
+    columns, change, step = rng.standard_normal((3, 2, 20)).T, rng.standard_normal((20, 2)), np.array([0.3, 0.0, -1.2])
+    exact = columns.copy(order="K")
+    exact_along([exact], step, [change])
+    np.testing.assert_allclose(exact @ step, change, atol=1e-12)
+    for across in ([1.2, 0.0, 0.3], [0.0, 1.0, 0.0]):
+        np.testing.assert_allclose(exact @ across, columns @ across, atol=1e-12)
+    assert exact.T.flags.c_contiguous  # rows are neighbours, as they are written and read
+    kept = columns.copy(order="K")
+    exact_along([kept], np.zeros(3), [change])
+    np.testing.assert_array_equal(kept, columns)
