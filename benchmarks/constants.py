@@ -147,7 +147,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--json", action="store_true", help="one object a line")
-    parser.add_argument("--only", nargs="+", default=CONSTANTS, metavar="NAME")
+    parser.add_argument("--only", nargs="+", default=CONSTANTS, choices=CONSTANTS, metavar="NAME")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder, ProcessPoolExecutor(options.jobs) as pool:
         made = [

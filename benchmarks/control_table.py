@@ -258,6 +258,8 @@ def main() -> None:
     parser.add_argument("--robots", nargs="+", help="only these")
     parser.add_argument("--controllers", nargs="+", help="only these")
     options = parser.parse_args()
+    if options.write is not None and not options.write.is_file():
+        parser.error(f"--write {options.write}: no such page")
     torch.set_num_threads(1)
     controllers = options.controllers or [*geometric_controllers(), *named_controllers()]
     flights, refusals = fly_all(options.robots or different_robots(), controllers)

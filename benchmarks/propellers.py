@@ -231,6 +231,8 @@ def main() -> None:
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--json", action="store_true", help="one object a line")
     options = parser.parse_args()
+    if not (options.data / "bench").is_dir():
+        parser.error(f"--data {options.data}: has no folder bench with the propeller tests")
     rows, theory = measure(options.data / "bench")
     if options.json:
         for found in (*map(asdict, rows), theory):

@@ -91,4 +91,10 @@ if __name__ == "__main__":
 
     import tyro
 
-    sys.exit(tyro.cli(BenchRacing).run())
+    from aerial_gym.errors import AerialGymError
+
+    try:
+        sys.exit(tyro.cli(BenchRacing).run())
+    except AerialGymError as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)
