@@ -7,6 +7,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from aerial_gym.rl_training import settings_for
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import task_registry
 
@@ -110,6 +111,23 @@ def test_what_is_seen_and_how_long(name: str, entries: int, seconds: float) -> N
     with task_registry.make_task(name, num_envs=3, device="cpu", seed=0) as task:
         assert (task.num_observations, task.num_actions) == (entries, 4)
         assert task.cfg.episode_len_steps * task.env.dt == pytest.approx(seconds)
+
+
+@pytest.mark.parametrize("name", ["position_setpoint_task_sim2real", "position_setpoint_task_acceleration_sim2real"])
+def test_a_critic_sees_the_same_without_noise(name: str) -> None:
+    """The policy sees it with the noise of the task file: 0.03 m, 0.01 of the attitude, 0.02 m/s, 0.02 rad/s."""
+    assert settings_for("ppo", name, device="cpu").name == "ppo_position_setpoint_task_sim2real_cpu.yaml"
+    with task_registry.make_task(name, num_envs=4096, device="cpu", seed=2) as task:
+        obs, _ = task.reset()
+        gtd = task.env.gtd
+        position, attitude, speed, rates = obs["critic"].split([3, 4, 3, 3], dim=1)
+        assert torch.equal(position, -gtd["robot_position"])
+        assert torch.equal(attitude.abs(), gtd["robot_orientation"].abs())
+        assert torch.equal(speed, gtd["robot_body_linvel"])
+        assert torch.equal(rates, gtd["robot_body_angvel"])
+        noise = (obs["observations"][:, :13] - obs["critic"]).std(0)
+        stated = torch.tensor([0.03] * 3 + [0.01] * 4 + [0.02] * 6)
+        torch.testing.assert_close(noise, stated, rtol=0.05, atol=0.0)  # 4.5 standard deviations of 4,096 draws
 
 
 def test_the_rotors_of_the_vehicles_hover_as_their_files_say() -> None:
