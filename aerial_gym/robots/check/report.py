@@ -19,6 +19,7 @@ from aerial_gym.control.laws import LAWS
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.model import check_effects
 from aerial_gym.robots.check.flights import StableStep, largest_stable_step
+from aerial_gym.robots.check.tail import LeaningTail, leaning_tail
 
 AXES = ("x", "y", "z")
 
@@ -111,16 +112,26 @@ def check_robot(
     allocation, matrix = Allocation(vehicle, gravity), allocation_matrix(vehicle, gravity)[0]
     weight = robot.body.mass * gravity
     held = robot.body.mass * apparent_gravity(robot.control, robot.body.mass, gravity)
-    hover = allocation.inverse[0, :, 2] * held
     low, high = allocation.low[0], allocation.high[0]
-    authority = allocation.wrench_authority(held)
-    limiting = allocation.limiting_rotors(held).tolist()
-    ends = tuple(rotor + 1 if given > 0.0 else None for rotor, given in zip(limiting, authority.tolist(), strict=True))
-    ratio = allocation.largest_thrust() / weight
-    problems = (*_problems(hover, low, high, matrix @ hover, held, weight), *_coupled(matrix))
+    tail = leaning_tail(robot, matrix.numpy(), low.numpy(), high.numpy(), gravity=gravity)
+    if tail is None:
+        hover = allocation.inverse[0, :, 2] * held
+        wrench, ratio = matrix @ hover, allocation.largest_thrust() / weight
+        authority, limiting = allocation.wrench_authority(held), allocation.limiting_rotors(held).tolist()
+    else:
+        asked = tail.unknowns(held)
+        hover, matrix = torch.from_numpy(tail.thrusts(asked)), torch.from_numpy(tail.columns)
+        wrench, ratio = tail.wrench(asked), tail.most_lift() / weight
+        given, limiting = zip((0.0, None), (0.0, None), *(tail.largest(held, axis) for axis in range(4)), strict=True)
+        authority = torch.tensor(given, dtype=matrix.dtype)
+    ends = tuple(
+        rotor + 1 if given > 0.0 and rotor is not None else None
+        for rotor, given in zip(limiting, authority.tolist(), strict=True)
+    )
+    problems = (*_problems(hover, low, high, wrench, held, weight), *_coupled(matrix))
     names = _with_gains() if controllers is None else tuple(controllers)
     steps = []
-    for number, controller in enumerate(names if not problems else ()):
+    for number, controller in enumerate(names if not problems and tail is None else ()):
         progress(controller, number / len(names))
         steps.append(largest_stable_step(robot, CONTROLLERS.get(controller), name=controller, gravity=gravity))
     turn = authority[3:] / vehicle.inertia[0].diagonal()
@@ -141,7 +152,7 @@ def check_robot(
         stable_steps=tuple(steps),
         problems=problems,
         warnings=(
-            *_rigid_warnings(robot),
+            *(_rigid_warnings(robot) if tail is None else _tail_warnings(tail, held, controllers)),
             *_warnings(robot),
             *_control_warnings(inf if robot.control.buoyancy else ratio, turn.tolist()),
             *_step_warnings(steps),
@@ -204,6 +215,16 @@ def _step_warnings(steps: Sequence[StableStep]) -> Iterator[str]:
 def _rigid_warnings(robot: RobotCfg) -> Iterator[str]:
     if robot.joints is not None:
         yield robot.joints.rigid_note("hover, authority and time steps are those of a vehicle that does not bend")
+
+
+def _tail_warnings(tail: LeaningTail, held: float, controllers: Sequence[str] | None) -> Iterator[str]:
+    asked = tail.unknowns(held)
+    yield (
+        f"its tail leans by {tail.angle(asked):.3g} rad at hover, which takes the torque about z, and the vehicle by "
+        f"{tail.roll(asked):.3g} rad about x against the side force"
+    )
+    if controllers is None or controllers:
+        yield "no time step was looked for: controllers command rotors, and its heading is held by joints.tail_servo"
 
 
 def _warnings(robot: RobotCfg) -> Iterator[str]:

@@ -54,18 +54,10 @@ def tail_servo(robot: RobotCfg, *, dt: float, gravity: float = STANDARD_GRAVITY)
     Raises:
         ConfigError: If there is no such joint, or its drive follows no angle.
     """
-    joints = () if robot.joints is None else robot.joints.layout
-    found = [
-        (mount, rotor, joint)
-        for mount, rotor in zip(robot.mounts.layout, robot.rotor_types, strict=True)
-        for joint in joints
-        if joint.name == mount.link and joint.drive is not None and joint.drive.mode == "position"
-    ]
-    if len(found) != 1 or found[0][2].axis != (1.0, 0.0, 0.0) or found[0][0].position[0] >= robot.body.com[0]:
-        raise ConfigError(
-            "a tail servo needs one rotor on a joint about body x that a drive holds to an angle, behind the centre of mass"
-        )
-    mount, rotor, joint = found[0]
+    number = tail_rotor(robot)
+    mount, rotor = robot.mounts.layout[number], robot.rotor_types[number]
+    assert robot.joints is not None
+    joint = next(joint for joint in robot.joints.layout if joint.name == mount.link)
     assert joint.drive is not None
     arm = robot.body.com[0] - mount.position[0]
     thrust = robot.body.mass * gravity / robot.num_rotors
@@ -77,3 +69,24 @@ def tail_servo(robot: RobotCfg, *, dt: float, gravity: float = STANDARD_GRAVITY)
     quickest, damping = loop_shape(joint.drive.damping / joint.drive.stiffness + dt, robot.control.phase_margin)
     frequency = min(quickest, (turn * sin(min(high - trim, trim - low))) ** 0.5)
     return TailServo(trim=trim, heading=frequency**2 / turn, rate=2.0 * damping * frequency / turn, limits=(low, high))
+
+
+def tail_rotor(robot: RobotCfg) -> int:
+    """Return the number from 0 of the rotor that a servo leans sideways.
+
+    Raises:
+        ConfigError: If there is none, or more than one.
+    """
+    joints = {} if robot.joints is None else {joint.name: joint for joint in robot.joints.layout}
+    found = [
+        (number, mount, joint)
+        for number, mount in enumerate(robot.mounts.layout)
+        if (joint := joints.get(mount.link or "")) is not None
+        and joint.drive is not None
+        and joint.drive.mode == "position"
+    ]
+    if len(found) != 1 or found[0][2].axis != (1.0, 0.0, 0.0) or found[0][1].position[0] >= robot.body.com[0]:
+        raise ConfigError(
+            "a tail servo needs one rotor on a joint about body x that a drive holds to an angle, behind the centre of mass"
+        )
+    return found[0][0]

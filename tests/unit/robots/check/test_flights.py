@@ -13,11 +13,11 @@ from aerial_gym.robots.check.flights import STEP_RANGE
 
 @pytest.mark.slow
 def test_published_gains_are_stable_up_to_the_linear_limit() -> None:
-    """magpie has gains of its own, whatever the time step; the search is to 1 % of it."""
+    """magpie has gains of its own, whatever the time step; the search is to 1 % of it, with a gain margin of 6 dB."""
     robot, controller = ROBOTS.get("magpie"), CONTROLLERS.get("lee_attitude_control")
     found = largest_stable_step(robot, controller, name="lee_attitude_control")
     loop = ClosedLoop(robot, controller, gravity=9.81, integrator="euler", names=("magpie", "lee_attitude_control"))
-    assert found.largest_s == pytest.approx(loop.largest_stable_dt(1.0), rel=0.02)
+    assert found.largest_s == pytest.approx(loop.largest_firm_dt(1.0), rel=0.02)
     assert not found.at_least
 
 

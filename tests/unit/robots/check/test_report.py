@@ -1,8 +1,11 @@
 """Numbers of a robot against those worked out by hand, and what is said of robots that cannot be."""
 
 from dataclasses import replace
+from math import atan, cos, sin, tan
 
+import numpy as np
 import pytest
+from scipy.optimize import linprog
 
 from aerial_gym.config.robot import BodyCfg, MountCfg, RobotCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
@@ -99,3 +102,40 @@ def test_what_cannot_be_is_refused_with_a_way_out() -> None:
         BodyCfg(mass=1.5, inertia=rows, source="RotorS, firefly.xacro")
     with pytest.raises(UnknownNameError, match="Did you mean 'lee_position_control'"):
         check_robot(ROBOTS.get("lmf1"), name="it", controllers=("lee_positon_control",))
+
+
+def test_a_tail_on_a_servo_gives_the_torque_about_z() -> None:
+    """Hover in closed form: ``tan d = k / L``, each front rotor ``T (cos d + k sin d / L)``; the lean takes the side force.
+
+    What it gives is the optimum of a linear program: thrusts within their limits, the tail within its angles (0.7 rad).
+    """
+    report = report_of(ROBOTS.get("tilt_tricopter"))
+    arm, ratio, weight = 0.2460732, 0.025, 1.592 * 9.81
+    angle = atan(ratio / arm)
+    tail = weight / (3.0 * cos(angle) + 2.0 * ratio * sin(angle) / arm)
+    front = tail * (cos(angle) + ratio * sin(angle) / arm)
+    assert report.hover_thrust_n == pytest.approx((front, front, tail), rel=1e-6)
+    assert (report.rank, report.problems, report.stable_steps) == (4, (), ())
+    assert f"leans by {angle:.3g} rad" in report.warnings[0]
+    assert f"the vehicle by {-atan(tail * sin(angle) / weight):.3g} rad" in report.warnings[0]
+
+    side = [0.2131056, 0.1230366]  # of the front rotors: y, x
+    lift = [1.0, 1.0, 1.0, 0.0]
+    roll = [-side[0], side[0], 0.0, 0.0]
+    pitch = [-side[1], -side[1], arm, ratio]
+    yaw = [-ratio, ratio, -ratio, arm]
+    servo = [[0.0, 0.0, -tan(0.7), 1.0], [0.0, 0.0, -tan(0.7), -1.0]]  # within the range both ways
+    for axis, found in enumerate((report.force_n[2], *report.torque_n_m)):
+        step = -np.eye(4)[:, [axis]]
+        most = [
+            linprog(
+                [0.0, 0.0, 0.0, 0.0, -1.0],
+                A_eq=np.hstack(([lift, roll, pitch, yaw], way * step)),
+                b_eq=[weight, 0.0, 0.0, 0.0],
+                A_ub=np.hstack((servo, np.zeros((2, 1)))),
+                b_ub=[0.0, 0.0],
+                bounds=[(0.0, 20.0)] * 2 + [(0.0, 20.0 * cos(0.7)), (None, None), (0.0, None)],
+            ).x[4]
+            for way in (1.0, -1.0)
+        ]
+        assert found == pytest.approx(min(most), rel=1e-6)

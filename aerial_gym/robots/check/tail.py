@@ -1,0 +1,127 @@
+"""What a vehicle can do whose tail rotor leans sideways on a servo, which gives the torque about z that its rotors lack.
+
+Its unknowns at hover are the thrusts of the other rotors and two of the tail: the part along body z and that along -y, which a
+positive angle gives. In these forces and torques are linear; thrust and angle are their length and direction.
+Frames: body is x forward, y left, z up. Letters: R rotors.
+"""
+
+from collections.abc import Callable, Sequence
+from math import atan2, hypot
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.errors import ConfigError
+from aerial_gym.robots.joints.tail_servo import tail_rotor, tail_servo
+
+Array = NDArray[np.float64]
+
+HALVINGS = 60
+"""Of a factor, to rounding."""
+
+LARGEST = 1e6
+"""Force [N] or torque [N m] that is more than any rotor gives."""
+
+
+class LeaningTail:
+    """Forces and torques of such a vehicle, about the angle at which its tail holds hover.
+
+    Args:
+        robot: A loaded robot.
+        matrix: Force and torque per thrust of each rotor as all point along their axes in the reference pose, (6, R).
+        low: Lowest thrusts [N], (R,).
+        high: Highest thrusts [N], (R,).
+        gravity: Downward acceleration of free fall [m/s²].
+
+    Raises:
+        ConfigError: If no rotor of the robot is a tail on a servo.
+    """
+
+    def __init__(
+        self, robot: RobotCfg, matrix: Array, low: Array, high: Array, *, gravity: float = STANDARD_GRAVITY
+    ) -> None:
+        self.tail = tail_rotor(robot)
+        self.angles = tail_servo(robot, dt=0.0, gravity=gravity).limits
+        self._low, self._high = low, high
+        upright = matrix[:, self.tail]
+        arm = np.subtract(robot.mounts.layout[self.tail].position, robot.body.com)
+        drag = upright[3:] - np.cross(arm, upright[:3])  # torque of the rotor itself, along its axis
+        side = np.array([0.0, -1.0, 0.0])
+        lean = np.concatenate((side, np.cross(arm, side) + drag[2] * side))
+        self.columns = np.column_stack((matrix, lean))
+        self._inverse = np.linalg.pinv(self.columns[2:])
+
+    def unknowns(self, lift: float, torque: Sequence[float] = (0.0, 0.0, 0.0)) -> Array:
+        """Return what gives a force along z [N] and a torque [N m]: thrusts, the tail's along z, and its part along -y [N]."""
+        return self._inverse @ np.array([lift, *torque])
+
+    def thrusts(self, unknowns: Array) -> Array:
+        """Return the thrust of each rotor [N], (R,)."""
+        found = unknowns[:-1].copy()
+        found[self.tail] = hypot(unknowns[self.tail], unknowns[-1])
+        return found
+
+    def angle(self, unknowns: Array) -> float:
+        """Return the angle of the tail [rad]."""
+        return atan2(unknowns[-1], unknowns[self.tail])
+
+    def wrench(self, unknowns: Array) -> Tensor:
+        """Return force [N] and torque [N m], (6,), without the side force of the tail, against which a vehicle leans."""
+        found = self.columns @ unknowns
+        found[1] += unknowns[-1]
+        return torch.from_numpy(found)
+
+    def roll(self, unknowns: Array) -> float:
+        """Return the angle about x [rad] at which the weight balances the side force."""
+        force = self.columns @ unknowns
+        return atan2(force[1], force[2])
+
+    def first_beyond(self, unknowns: Array) -> int | None:
+        """Return the rotor from 0 that is beyond its limits, the tail for the servo's as well, or None."""
+        thrusts = self.thrusts(unknowns)
+        beyond = np.flatnonzero((thrusts < self._low) | (thrusts > self._high))
+        if beyond.size:
+            return int(beyond[0])
+        return None if self.angles[0] <= self.angle(unknowns) <= self.angles[1] else self.tail
+
+    def largest(self, lift: float, axis: int) -> tuple[float, int | None]:
+        """Return how much both ways can be added to a lift [N], and the number from 0 of the rotor (or its servo) that ends it.
+
+        Axis 0 is the force along z [N], 1 to 3 are the torques about x, y, z [N m].
+        """
+        hover, step = self.unknowns(lift), self._inverse[:, axis]
+        return _farthest(
+            lambda size: next(
+                (rotor for way in (1, -1) if (rotor := self.first_beyond(hover + way * size * step)) is not None), None
+            )
+        )
+
+    def most_lift(self) -> float:
+        """Return the largest force along z without torque [N]."""
+        return _farthest(
+            lambda size: next(iter(np.flatnonzero(self.thrusts(self.unknowns(size)) > self._high).tolist()), None)
+        )[0]
+
+
+def _farthest(stopped_by: Callable[[float], int | None]) -> tuple[float, int | None]:
+    """Return the largest size at which nothing stops, and what does beyond it."""
+    size, ends, last = 0.0, LARGEST, None
+    for _ in range(HALVINGS):
+        middle = 0.5 * (size + ends)
+        stopped = stopped_by(middle)
+        size, ends, last = (middle, ends, last) if stopped is None else (size, middle, stopped)
+    return size, last
+
+
+def leaning_tail(
+    robot: RobotCfg, matrix: Array, low: Array, high: Array, *, gravity: float = STANDARD_GRAVITY
+) -> LeaningTail | None:
+    """Return the same, or None where no rotor is a tail on a servo."""
+    try:
+        return LeaningTail(robot, matrix, low, high, gravity=gravity)
+    except ConfigError:
+        return None
