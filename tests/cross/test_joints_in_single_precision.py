@@ -15,7 +15,7 @@ from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import TorchBackend, build_model, vehicle_from_config
 from aerial_gym.physics.articulated.articulation import articulation_of
-from aerial_gym.physics.articulated.dynamics import equations
+from aerial_gym.physics.articulated.dynamics import Equations, equations
 from aerial_gym.physics.articulated.flight import jointed_step
 from aerial_gym.physics.articulated.joint_laws import Effort
 from aerial_gym.physics.articulated.motion import moving, turning
@@ -128,15 +128,15 @@ def bound_of(start: Start, first: int) -> Bound:
     seen: list[Bound] = []
 
     def stepper(tree, links, laws, before, dt, *, gravity, drive, friction, wrench):
-        found = equations(tree, links, before, gravity=gravity, wrench=wrench)
-        used: list[Effort] = []
+        used: list[tuple[Effort, Equations]] = []
 
-        def step(acts: Effort) -> TreeState:
-            used.append(acts)
-            return _implicit(tree, before, found, acts, dt)
+        def step(acts: Effort, swings: TreeState) -> TreeState:
+            used.append((acts, equations(tree, links, swings, gravity=gravity, wrench=wrench)))
+            return _implicit(tree, before, used[-1][1], acts, dt)
 
         after = with_drive(step, laws, drive, friction, before)
-        acts, places = used[-1], found.places
+        acts, found = used[-1]
+        places = found.places
         mass = found.mass + torch.diag_embed(
             torch.nn.functional.pad(dt * (acts.damping + dt * acts.stiffness), (6, 0)).expand(NUM_ENVS, -1)
         )

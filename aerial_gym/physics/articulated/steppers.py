@@ -3,7 +3,9 @@
 ``implicit_euler``: the efforts of joints are those at the end of the step, linearised; all else is semi-implicit Euler. It is
 of order 1 and stable however stiff a joint is. A drive that would be beyond its limit at the end of the step is at its limit
 through it, as is dry friction: whether it would is found by a step without limits. (Judged at the start, a drive that moves a
-light link to its place within a step would overshoot in each.) ``rk4``: order 4, for motion that no stiff joint is in.
+light link to its place within a step would overshoot in each.) Where there is such a first step, what turning and swinging take
+is that of the rates half way to its end: of those at the start it feeds what whirls, and snakes under random thrusts ended in
+NaN. ``rk4``: order 4, for motion that no stiff joint is in.
 Letters: E environments, D joints, L links.
 
 Sources:
@@ -13,6 +15,7 @@ Sources:
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -53,12 +56,16 @@ def implicit_euler(
         wrench: Held through the step, as for ``equations``, (E, L, 6).
         effort: Of the joints beside the laws, held through the step, (E, D).
     """
-    found = equations(tree, links, state, gravity=gravity, wrench=wrench, effort=effort)
-    return with_drive(lambda acts: _implicit(tree, state, found, acts, dt), laws, drive, friction, state)
+
+    def step(acts: Effort, swings: TreeState) -> TreeState:
+        found = equations(tree, links, swings, gravity=gravity, wrench=wrench, effort=effort)
+        return _implicit(tree, state, found, acts, dt)
+
+    return with_drive(step, laws, drive, friction, state)
 
 
 def with_drive(
-    step: Callable[[Effort], TreeState],
+    step: Callable[[Effort, TreeState], TreeState],
     laws: Sequence[JointLaw],
     drive: Drive | None,
     friction: Drive | None,
@@ -69,7 +76,7 @@ def with_drive(
     Then it is found likewise which joints dry friction does not hold; in the first step it acts on those that move already.
 
     Args:
-        step: A step from ``state`` under efforts of joints, taken at its end.
+        step: A step from ``state`` under efforts of joints, taken at its end, and what turning and swinging take in a motion.
         laws: What acts in the joints.
         drive: Of the joints that have one; None for no drive.
         friction: Likewise.
@@ -77,16 +84,26 @@ def with_drive(
     """
     pos, vel = state.joint_pos, state.joint_vel
     acts, nowhere = joint_effort(laws, pos, vel), torch.zeros_like(pos)
+    end = None
     if drive is not None:
         trial = acts + drive.effort_at(pos, vel, nowhere)
         if friction is not None:
             trial = trial + friction.effort_at(pos, vel, friction.beyond(pos, vel))
-        end = step(trial)
+        end = step(trial, state)
         acts = acts + drive.effort_at(pos, vel, drive.beyond(end.joint_pos, end.joint_vel))
     if friction is not None:
-        end = step(acts + friction.effort_at(pos, vel, nowhere))
+        end = step(acts + friction.effort_at(pos, vel, nowhere), state)
         acts = acts + friction.effort_at(pos, vel, friction.beyond(end.joint_pos, end.joint_vel))
-    return step(acts)
+    return step(acts, state if end is None else half_way(state, end))
+
+
+def half_way(state: TreeState, end: TreeState) -> TreeState:
+    """Return where a step begins, with the rates half way to its end."""
+    return replace(
+        state,
+        ang_vel=0.5 * (state.ang_vel + end.ang_vel),
+        joint_vel=0.5 * (state.joint_vel + end.joint_vel),
+    )
 
 
 def _implicit(tree: Tree, state: TreeState, found: Equations, acts: Effort, dt: float) -> TreeState:
@@ -95,8 +112,17 @@ def _implicit(tree: Tree, state: TreeState, found: Equations, acts: Effort, dt: 
     held = torch.nn.functional.pad(acts.value - soft * state.joint_vel, (6, 0))
     stiff = torch.nn.functional.pad(dt * (acts.damping + soft), (6, 0))
     now = solve(tree, state, found.mass + torch.diag_embed(stiff), found.force + held)
-    lin_vel, ang_vel = state.lin_vel + dt * now.lin_acc, state.ang_vel + dt * now.ang_acc
-    joint_vel = state.joint_vel + dt * now.joint_acc
+    return moved_on(
+        state,
+        state.lin_vel + dt * now.lin_acc,
+        state.ang_vel + dt * now.ang_acc,
+        state.joint_vel + dt * now.joint_acc,
+        dt,
+    )
+
+
+def moved_on(state: TreeState, lin_vel: Tensor, ang_vel: Tensor, joint_vel: Tensor, dt: float) -> TreeState:
+    """Return the state after a step with these velocities at its end, by which places move."""
     return TreeState(
         position=state.position + dt * lin_vel,
         attitude=quat_normalize(quat_multiply(state.attitude, quat_exp(dt * ang_vel))),

@@ -19,7 +19,7 @@ from torch import Tensor
 from aerial_gym.errors import ShapeError
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics.articulated.joint_laws import Drive, Effort, JointLaw
-from aerial_gym.physics.articulated.steppers import with_drive
+from aerial_gym.physics.articulated.steppers import moved_on, with_drive
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.mujoco.bodies import LARGEST, load
 from aerial_gym.physics.mujoco.mjcf import write_mjcf
@@ -89,17 +89,23 @@ class RolloutTrees:
             raise ShapeError(f"MuJoCo's models are of another tree, or of steps of {self.dt:g} s. Make them anew")
         return with_drive(partial(self._step, links, state, gravity, wrench), laws, drive, friction, state)
 
-    def _step(self, links: Links, state: TreeState, gravity: float, wrench: Tensor, acts: Effort) -> TreeState:
-        """Return the state after one step under efforts of joints, taken at its end."""
+    def _step(
+        self, links: Links, state: TreeState, gravity: float, wrench: Tensor, acts: Effort, swings: TreeState
+    ) -> TreeState:
+        """Return the state after one step under efforts of joints, taken at its end.
+
+        MuJoCo steps from the rates at which turning and swinging are taken, and what they gain is added to those of the state.
+        """
         tree, dt = self._tree, self.dt
         damping = (acts.damping + dt * acts.stiffness).double()
-        push = torch.cat((wrench.flatten(1), acts.value + acts.damping * state.joint_vel), dim=-1).double()
+        held = acts.value - dt * acts.stiffness * state.joint_vel + damping * swings.joint_vel
+        push = torch.cat((wrench.flatten(1), held), dim=-1).double()
         start = torch.zeros_like(self._rollouts.start)
-        start[:, self._joint_pos], start[:, self._joint_vel] = state.joint_pos.double(), state.joint_vel.double()
+        start[:, self._joint_pos], start[:, self._joint_vel] = state.joint_pos.double(), swings.joint_vel.double()
         if tree.floating:
             pose, rate = self._rollouts.pose.start, self._rollouts.twist.start
             start[:, pose : pose + 7] = torch.cat((state.position, state.attitude.roll(1, dims=-1)), dim=-1).double()
-            start[:, rate : rate + 6] = torch.cat((state.lin_vel, state.ang_vel), dim=-1).double()
+            start[:, rate : rate + 6] = torch.cat((state.lin_vel, swings.ang_vel), dim=-1).double()
         sane = (torch.cat((start, push, damping), dim=-1).abs() < LARGEST).all(dim=-1, keepdim=True)
         rest = torch.zeros_like(start[:1])
         if tree.floating:
@@ -113,17 +119,8 @@ class RolloutTrees:
         self._follow(links, torch.where(sane, down, 0.0), torch.where(sane, damping, 0.0))
         self._rollouts.step()
         end = torch.where(sane, self._rollouts.end, torch.nan).to(state.position.dtype)
-        position, attitude = state.position, state.attitude
         lin_vel, ang_vel = torch.zeros_like(state.lin_vel), torch.zeros_like(state.ang_vel)
         if tree.floating:
-            base, twist = end[:, pose : pose + 7], end[:, rate : rate + 6]
-            position, attitude = base[:, :3], base[:, 3:].roll(-1, dims=-1)
-            lin_vel, ang_vel = twist[:, :3], twist[:, 3:]
-        return TreeState(
-            position=position,
-            attitude=attitude,
-            lin_vel=lin_vel,
-            ang_vel=ang_vel,
-            joint_pos=end[:, self._joint_pos],
-            joint_vel=end[:, self._joint_vel],
-        )
+            twist = end[:, rate : rate + 6]
+            lin_vel, ang_vel = twist[:, :3], state.ang_vel + twist[:, 3:] - swings.ang_vel
+        return moved_on(state, lin_vel, ang_vel, state.joint_vel + end[:, self._joint_vel] - swings.joint_vel, dt)

@@ -130,15 +130,21 @@ def make_jointed_kernel(
 
     @wp.func
     def find(
-        vehicle: vehicle_type, own: Inertia, held: wp.vec3, pos: joint_vector, vel: joint_vector, drives: drive_type,
-        given: held_type, thrusts: vector, drags: vector, w: wp.vec3, move: wp.vec3, dt: float,
+        vehicle: vehicle_type, more: wp.spatial_vector, held: wp.vec3, pos: joint_vector, vel: joint_vector,
+        swing_vel: joint_vector, drives: drive_type, given: held_type, thrusts: vector, drags: vector, w: wp.vec3,
+        move: wp.vec3, dt: float,
     ):  # fmt: skip
         """Return rates of joints at the end of the step, angular acceleration and acceleration of the base, which weight is not
-        taken off."""
-        carried, kept = way_in(vehicle, pos, vel, drives, given, thrusts, drags, w, move, dt)
+        taken off, with what turning at ``w`` and swinging at ``swing_vel`` take."""
+        carried, kept = way_in(vehicle, pos, vel, swing_vel, drives, given, thrusts, drags, w, move, dt)
         turn = wp.vec3()
         rise = held
         if wp.static(floating):
+            own = base(vehicle, w, move)
+            if wp.static(any_wrench):
+                push = wp.spatial_top(more)
+                own.force -= push
+                own.torque -= wp.spatial_bottom(more) + wp.cross(vehicle.com, push)
             turn, rise = solve(plus(carried, own))
         return vel + dt * way_back(kept, turn, rise), turn, rise
 
@@ -152,11 +158,6 @@ def make_jointed_kernel(
         com_vel = v + rotate(q, wp.cross(w, vehicle.com))
         thrusts, drags, more, _at = loads(vehicle, params, x + com, q, com_vel, w, n, (n - before) / dt)
         move = rotate_inverse(q, v)
-        own = base(vehicle, w, move)
-        if wp.static(any_wrench):
-            push = wp.spatial_top(more)
-            own.force -= push
-            own.torque -= wp.spatial_bottom(more) + wp.cross(vehicle.com, push)
         held = rotate_inverse(q, wp.vec3(0.0, 0.0, gravity))
         given = held_type()
         if wp.static(num_creep > 0):
@@ -164,17 +165,24 @@ def make_jointed_kernel(
         if wp.static(driven):
             if wp.static(rubs):
                 given.slips = slips(vel)
-            first, turn, rise = find(vehicle, own, held, pos, vel, drives, given, thrusts, drags, w, move, dt)
+            first, turn, rise = find(vehicle, more, held, pos, vel, vel, drives, given, thrusts, drags, w, move, dt)
             given.at_limit = beyond(pos + dt * first, first, drives)
         if wp.static(rubs):
             given.slips = joint_vector()
-            first, turn, rise = find(vehicle, own, held, pos, vel, drives, given, thrusts, drags, w, move, dt)
+            first, turn, rise = find(vehicle, more, held, pos, vel, vel, drives, given, thrusts, drags, w, move, dt)
             given.slips = slips(first)
-        rates, turn, rise = find(vehicle, own, held, pos, vel, drives, given, thrusts, drags, w, move, dt)
+        half_w = w
+        half_vel = vel
+        if wp.static(driven or rubs):
+            half_w = w + 0.5 * dt * turn
+            half_vel = 0.5 * (vel + first)
+        rates, turn, rise = find(
+            vehicle, more, held, pos, vel, half_vel, drives, given, thrusts, drags, half_w, move, dt
+        )
         lin_vel = v
         ang_vel = w
         if wp.static(floating):
-            lin_vel = v + dt * (rotate(q, rise + wp.cross(w, move)) - wp.vec3(0.0, 0.0, gravity))
+            lin_vel = v + dt * (rotate(q, rise + wp.cross(half_w, move)) - wp.vec3(0.0, 0.0, gravity))
             ang_vel = w + dt * turn
         return (
             x + dt * lin_vel,

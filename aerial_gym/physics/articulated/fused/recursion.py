@@ -100,9 +100,9 @@ def make_recursion(
 ) -> tuple[wp.Function, wp.Function]:
     """Return the ways in and back.
 
-    The way in: (vehicle, position and rate of joints, joint command, what is held through the step, thrusts, drag torques,
-    angular velocity and velocity of the base, dt) -> ``Inertia`` of all that the base carries, with what its own rotors do,
-    and what is kept.
+    The way in: (vehicle, position of joints, their rate, that at which swinging is taken, joint command, what is held
+    through the step, thrusts, drag torques, angular velocity and velocity of the base, dt) -> ``Inertia`` of all that the base
+    carries, with what its own rotors do, and what is kept.
     The way back: (kept, angular acceleration and acceleration of the base, weight not taken off it) -> accelerations of joints.
     """
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
@@ -121,12 +121,15 @@ def make_recursion(
 
     @wp.func
     def all_in(
-        vehicle: vehicle_type, pos: vector, vel: vector, command: command_type, held: held_type, thrusts: types.vector,
+        vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, command: command_type, held: held_type,
+        thrusts: types.vector,
         drags: types.vector, ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float,
     ):  # fmt: skip
         kept = back_type()
         rotation = wp.identity(n=3, dtype=float)
-        carried, kept = way_in(vehicle, pos, vel, command, held, thrusts, drags, rotation, ang_vel, lin_vel, dt, kept)
+        carried, kept = way_in(
+            vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, ang_vel, lin_vel, dt, kept
+        )
         carried = base_rotors(vehicle, thrusts, drags, rotation, carried)
         return carried, kept
 
@@ -155,7 +158,8 @@ def _make_nothing(types: RotorTypes, joints: JointTypes, command_type: Any) -> t
 
     @wp.func
     def nothing_in(
-        vehicle: vehicle_type, pos: vector, vel: vector, command: command_type, held: held_type, thrusts: types.vector,
+        vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, command: command_type, held: held_type,
+        thrusts: types.vector,
         drags: types.vector, rotation: wp.mat33, ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float,
         kept: back_type,
     ):  # fmt: skip
@@ -171,12 +175,15 @@ def _make_nothing(types: RotorTypes, joints: JointTypes, command_type: Any) -> t
 def _beside_in(rest: wp.Function, one: wp.Function) -> wp.Function:
     @wp.func
     def both_in(
-        vehicle: Any, pos: Any, vel: Any, command: Any, held: Any, thrusts: Any, drags: Any, rotation: wp.mat33,
+        vehicle: Any, pos: Any, vel: Any, swing_vel: Any, command: Any, held: Any,
+        thrusts: Any, drags: Any, rotation: wp.mat33,
         ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float, kept: Any,
     ):  # fmt: skip
-        first, kept_first = rest(vehicle, pos, vel, command, held, thrusts, drags, rotation, ang_vel, lin_vel, dt, kept)
+        first, kept_first = rest(
+            vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, ang_vel, lin_vel, dt, kept
+        )
         second, kept_both = one(
-            vehicle, pos, vel, command, held, thrusts, drags, rotation, ang_vel, lin_vel, dt, kept_first
+            vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, ang_vel, lin_vel, dt, kept_first
         )
         return plus(first, second), kept_both
 
@@ -247,13 +254,14 @@ def _make_link(articulation: Articulation, k: int, types: RotorTypes, joints: Jo
     def around(carried: wp.Function) -> wp.Function:
         @wp.func
         def link_in(
-            vehicle: vehicle_type, pos: vector, vel: vector, command: command_type, held: held_type, thrusts: types.vector,
+            vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, command: command_type, held: held_type,
+            thrusts: types.vector,
             drags: types.vector, rotation: wp.mat33, ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float,
             kept: back_type,
         ):  # fmt: skip
             after = kept
             q = pos[k]
-            rate = vel[k]
+            rate = swing_vel[k]
             axis = rotation * own_axis
             lever = rotation * offset
             turned = rotation
@@ -271,14 +279,16 @@ def _make_link(articulation: Articulation, k: int, types: RotorTypes, joints: Jo
                 swing = rate * wp.cross(move, axis)
             else:
                 move = move + rate * axis
-            whole, after = carried(vehicle, pos, vel, command, held, thrusts, drags, turned, turn, move, dt, after)
+            whole, after = carried(
+                vehicle, pos, vel, swing_vel, command, held, thrusts, drags, turned, turn, move, dt, after
+            )
             if wp.static(has_mass):
                 about = wp.mat33()
                 if wp.static(has_inertia):
                     about = turned * inertia * wp.transpose(turned)
                 whole = plus(whole, inertia_of(wp.static(mass), turned * com, about, turn, move))
             whole = rotors(vehicle, thrusts, drags, turned, whole)
-            acts, stiff = effort(q, rate, command, held, dt)
+            acts, stiff = effort(q, vel[k], command, held, dt)
             if wp.static(revolute):
                 by_turn = whole.turn * axis
                 by_push = wp.transpose(whole.mixed) * axis
