@@ -174,22 +174,27 @@ def doubted(ties: Mapping[str, Sequence[str]]) -> str:
 
 
 def meaning(kind: str, found: Sequence[Outcome], ties: Mapping[str, Sequence[str]] | None = None) -> str:
-    """Return what a verdict tells its reader, and what the correction does to the test flights.
+    """Return what the correction makes worse on the test flights, what a verdict tells its reader, and what it helps.
 
     Args:
         kind: The verdict.
         found: What became of the test flights; empty where nothing is corrected.
         ties: Effects that would do equally well in the place of each named one.
     """
-    told = doubted(ties or {}) or TRUSTED[kind]
+    told = f"{doubted(ties or {}) or TRUSTED[kind]}."
     if not found:
-        return f"{told}."
-    better = dict.fromkeys(one.about for one in found if one.state == BETTER)
-    worse = dict.fromkeys(one.about for one in found if one.state == WORSE)
-    helps = (
-        f"The correction helps in {', '.join(better)}"
-        if better
-        else "The correction is not seen to help in any channel"
+        return told
+    worse, better = ({one.about for one in found if one.state == state} for state in (WORSE, BETTER))
+
+    def named(state: str) -> str:
+        """Return each quantity of a state; what another horizon contradicts, with its horizon."""
+        texts = (one.about + one.where * (one.about in worse & better) for one in found if one.state == state)
+        return ", ".join(dict.fromkeys(texts))
+
+    harms = (
+        f"The correction makes {named(WORSE)} worse: keep the declared vehicle where these matter. " if worse else ""
     )
-    harms = f", and makes {', '.join(worse)} worse: keep the declared vehicle where these matter" if worse else ""
-    return f"{told}. {helps}{harms}."
+    helps = (
+        f"The correction helps in {named(BETTER)}" if better else "The correction is not seen to help in any channel"
+    )
+    return f"{harms}{told} {helps}."

@@ -44,9 +44,23 @@ def test_what_gets_worse_is_said_with_size_and_interval_the_largest_first_and_no
     )
     text = meaning("unexplained", found)
     assert "helps in specific force x" in text
-    assert "makes angular acceleration z, velocity of the rollout worse" in text
+    assert text.startswith(
+        "The correction makes angular acceleration z, velocity of the rollout worse: keep the declared"
+    )
     assert said_first([found[1]]) == ""
     assert "worse" not in meaning("explained", [found[1]])
+
+
+def test_what_one_horizon_makes_worse_and_another_better_is_told_with_its_horizon() -> None:
+    found = [
+        outcome("velocity of the rollout", 0.3, 0.1, 0.5, " after 0.1 s"),
+        outcome("velocity of the rollout", -0.2, -0.3, -0.1, " after 2 s"),
+        outcome("position of the rollout", -0.2, -0.3, -0.1, " after 1 s"),
+        outcome("position of the rollout", -0.2, -0.3, -0.1, " after 2 s"),
+    ]
+    text = meaning("explained", found)
+    assert text.startswith("The correction makes velocity of the rollout after 0.1 s worse: ")
+    assert text.endswith("The correction helps in velocity of the rollout after 2 s, position of the rollout.")
 
 
 @pytest.mark.parametrize("kind", ["explained", "none", "unexplained", "ambiguous"])
