@@ -1,17 +1,19 @@
 """The effects fitted on whole rollouts, on exact flights whose drag is known."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from aerial_gym.interop import one_thread
-from aerial_gym.sim2real.identify.output_error import Refit, refit_on_rollouts
+from aerial_gym.sim2real.identify.output_error import Refit, _doubts, impossible, refit_on_rollouts
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.identify.selection.select import Selection, select_effects
 from aerial_gym.sim2real.identify.window_rollouts import eliminated
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.predict.channels import find_channels
-from aerial_gym.sim2real.predict.model_params import declared_params
+from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
@@ -126,3 +128,46 @@ def test_what_is_left_when_starts_are_eliminated_is_the_least_of_the_whole_probl
     whole, least, *_ = np.linalg.lstsq(matrix, right, rcond=None)
     np.testing.assert_allclose(step, whole[:params], rtol=1e-9)
     np.testing.assert_allclose(sums.squares_after(np.tile(step, (windows, 1))).sum(), least, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("names", "change", "said"),
+    [
+        (("rotor_drag",), {}, ""),
+        ((), {}, "no effect is accepted"),
+        (("rotor_drag",), {"lin_vel": None}, "the logs have no velocity and attitude to compare rollouts with"),
+        (("rotor_drag",), {"attitude_integrated": True}, "the logs have no velocity and attitude"),
+        (("slung_payload",), {}, "where a slung load hangs at the start of a window is not logged"),
+        (("imu_bias",), {}, "errors of the inertial sensors change no rollout"),
+        (("imu_bias", "rotor_drag"), {}, ""),
+    ],
+)
+def test_why_nothing_is_fitted_on_rollouts(names: tuple[str, ...], change: dict, said: str) -> None:
+    flights = [SimpleNamespace(**({"lin_vel": np.zeros((3, 3)), "attitude_integrated": False} | change))]
+    point = ModelParams(effects={name: np.zeros(1) for name in names})
+    final = SimpleNamespace(effects=names, fit=SimpleNamespace(point=point))
+    selection = SimpleNamespace(accepted=names, final=final)
+    found = impossible(SimpleNamespace(flights=flights), selection)  # type: ignore[arg-type]
+    assert found.startswith(said) if said else found == ""
+
+
+@pytest.mark.parametrize(
+    ("velocity", "attitude", "said"),
+    [
+        ([0.5] * 4, [1.0] * 4, []),
+        ([0.97] * 4, [1.0] * 4, ["it takes at most 1.5% off the rollout errors of flights left out"]),
+        ([0.2, 0.2, 1.1, 1.1], [1.0] * 4, ["only 50% of the flights left out are predicted better"]),
+        ([0.3] * 4, [1.3] * 4, ["it makes the attitude of rollouts worse by 14.0%"]),
+        ([1.0] * 4, [1.0] * 4, ["the gain on flights left out may be chance", "only 0%", "it takes at most 0.0%"]),
+    ],
+)
+def test_why_rollouts_do_not_decide(velocity: list[float], attitude: list[float], said: list[str]) -> None:
+    """Four flights of eight windows; mean squares after the refit over those before it, falls of rms by their roots."""
+    flight = np.repeat(np.arange(4), 8)
+    windows = SimpleNamespace(flight=flight, cluster=np.arange(32))
+    before = np.random.default_rng(0).uniform(0.9, 1.1, (32, 2))
+    after = before * np.stack((np.array(velocity)[flight], np.array(attitude)[flight]), axis=1)
+    falls = 1.0 - np.sqrt(after.sum(axis=0) / before.sum(axis=0))
+    found = _doubts(before, after, falls, windows, Criteria())  # type: ignore[arg-type]
+    assert len(found) == len(said), found
+    assert all(text.startswith(start) for text, start in zip(found, said, strict=True)), found

@@ -5,10 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, Nuisance
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
-from aerial_gym.sim2real.judge.analysis import strained_notes
+from aerial_gym.sim2real.judge.analysis import about_logs, open_notes, own_notes, strained_notes, surrogate_notes
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.tolerances import Tolerances
+from tests.unit.sim2real.fitted_sets import PLACE, chosen_of, fitted, selection_of
 from tests.unit.sim2real.flat_flights import ROBOT
 from tests.unit.sim2real.predict.test_scene import hover
 
@@ -43,3 +45,54 @@ def test_of_a_strained_tolerance_it_is_said_what_it_changes(left: list[float], s
     assert "mass to be off by +4.0" in first
     assert said in last
     assert notes_of(2.0, left) == []
+
+
+def logs(count: int, *, band: float) -> SimpleNamespace:
+    """Return what is declared beside flights of 50 and more rows per second, asked to be compared below 10 Hz."""
+    flights = [SimpleNamespace(name=f"f{n}", notes=(), rate=50.0 + n) for n in range(count)]
+    return SimpleNamespace(
+        flights=flights, bandwidth=band, asked_bandwidth=10.0, train=SimpleNamespace(flights=flights)
+    )
+
+
+@pytest.mark.parametrize(
+    ("count", "band", "said"),
+    [
+        (3, 10.0, []),
+        (3, 10.0 - 1e-9, ["compared below 10 Hz: the slowest log has 50 rows per second"]),
+        (2, 10.0, ["only 2 training flights: intervals rest on blocks of time, not on the spread of flights"]),
+        (1, 5.0, ["compared below 5 Hz: the slowest", "only 1 training flights: intervals rest on blocks of time"]),
+    ],
+)
+def test_slow_logs_and_few_flights_are_told(count: int, band: float, said: list[str]) -> None:
+    """Three flights, compared as far as was asked, are worth no note."""
+    found = about_logs(logs(count, band=band))  # type: ignore[arg-type]
+    assert len(found) == len(said)
+    assert all(text.startswith(start) for text, start in zip(found, said, strict=True))
+
+
+def test_channels_that_training_leaves_open_are_told_to_be_trained() -> None:
+    open_to = SimpleNamespace(left_open=("specific_force.x", "angular_acceleration.z"))
+    (note,) = open_notes(open_to)  # type: ignore[arg-type]
+    assert note.startswith("not shown: more than noise remains in specific_force.x, angular_acceleration.z of the test")
+    assert note.endswith("train on flights that move as the test flights do")
+    assert open_notes(SimpleNamespace(left_open=())) == []  # type: ignore[arg-type]
+
+
+def test_an_effect_that_only_stands_in_for_a_structure_is_told_with_it() -> None:
+    chosen = chosen_of(fitted(), surrogates={"thrust_coefficient": "time"})
+    (note,) = surrogate_notes(selection_of(chosen))
+    assert note == (
+        "thrust_coefficient is not named: it only stands in for a part of what remains, whose structure (time) no effect has"
+    )
+    assert surrogate_notes(selection_of(chosen_of(fitted()))) == []
+
+
+def test_offsets_that_each_flight_has_of_its_own_are_told_with_their_size() -> None:
+    """An offset of flights in the best set, none of a structure that follows the place."""
+    own = Nuisance(kind=OF_FLIGHTS, channel="specific_force.x", columns=[], size=0.0123)
+    (note,) = own_notes(selection_of(chosen_of(fitted(structures=(own, PLACE)))))
+    assert note.startswith(
+        "each flight has an offset of its own in specific_force.x 0.012 m/s² (rms): a sensor that warms"
+    )
+    assert own_notes(selection_of(chosen_of(fitted(structures=(PLACE,))))) == []

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.least_squares.covariance import uncertainty
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit
 from aerial_gym.sim2real.identify.least_squares.moments import block_moments
@@ -74,9 +75,34 @@ def test_nobody_is_sent_to_fly_for_arms_that_a_vehicle_does_not_have() -> None:
     hidden = SimpleNamespace(not_testable={"joint_spring": "needed: x", "ground_effect": "needed: y"}, accepted=())
     rigid, soft = (SimpleNamespace(effects=effects, joints=None) for effects in ({}, {"joint_creep": {}}))
     told = not_testable(hidden, rigid, wind)  # type: ignore[arg-type]
-    assert "needed" not in told["joint_spring"]
+    assert told["joint_spring"] == "its file gives the vehicle no soft arms, and these flights show none"
     assert told["ground_effect"] == "needed: y"
     assert not_testable(hidden, soft, wind)["joint_spring"] == "needed: x"  # type: ignore[arg-type]
+
+
+def test_a_look_alike_that_nobody_registered_is_told_beside_what_it_looks_like(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As an effect of a user may name one; of a named effect alone, for nothing looks like what is not there."""
+    monkeypatch.setattr(EFFECTS.get("rotor_drag"), "confused_with", ("quadratic_drag", "drag_of_a_tether"))
+    wind = SimpleNamespace(wind=SimpleNamespace(untestable=""))
+    named, robot = SimpleNamespace(not_testable={}, accepted=("rotor_drag",)), SimpleNamespace(effects={}, joints=None)
+    assert not_testable(named, robot, wind) == {  # type: ignore[arg-type]
+        "drag_of_a_tether": "looks like rotor_drag; there is no registered effect of this name to weigh it"
+    }
+    named.accepted = ()
+    assert not_testable(named, robot, wind) == {}  # type: ignore[arg-type]
+
+
+def test_without_a_noise_floor_nothing_is_called_near_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(verdict, "tied_rivals", lambda name, selection: [])
+    found, nothing = SimpleNamespace(accepted=("rotor_drag",)), SimpleNamespace(accepted=())
+    kind, reason, _ = verdict.decide(found, (), False)  # type: ignore[arg-type]
+    assert kind == "explained"
+    assert reason == "the flights show rotor_drag; the logs are too slow or short to show a noise floor"
+    kind, reason, _ = verdict.decide(nothing, (), False)  # type: ignore[arg-type]
+    assert kind == "none"
+    assert reason.endswith(
+        "the logs are too slow or short to show a noise floor: whether more than noise remains cannot be told"
+    )
 
 
 def test_a_note_on_several_logs_is_one_note() -> None:

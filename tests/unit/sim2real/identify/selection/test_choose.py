@@ -9,9 +9,10 @@ import pytest
 
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted, Fitter
 from aerial_gym.sim2real.identify.least_squares.parameters import scales
+from aerial_gym.sim2real.identify.selection import choose
 from aerial_gym.sim2real.identify.selection.choose import Chosen, _Chooser, choose_effects, narrowest
 from aerial_gym.sim2real.identify.selection.climb import Climber
-from aerial_gym.sim2real.identify.selection.scoring import Criteria
+from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE, Criteria
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.predict.channels import Channel, find_channels
 from aerial_gym.sim2real.predict.model_params import declared_params
@@ -235,6 +236,36 @@ def test_an_effect_of_which_flights_show_no_parameter_has_no_name() -> None:
     assert found is drag
     assert blind == ["com_offset"]
     assert object.__new__(_Chooser).shown(both, Made(drag)) == (both, [])
+
+
+def test_why_what_was_probable_has_no_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One reason each, the last that held: noise alone, a bound, odds that are too small, or what holds only beside others."""
+    more = ("payload_mass", "weak_motor", "torque_ratio", "com_offset", "motor_tilt")
+    best, named = fitted("rotor_drag", *more), fitted("rotor_drag")
+    chooser, found = object.__new__(_Chooser), {"torque_ratio": 0.7, "com_offset": 5.0}
+    chooser.names = best.effects
+    for name, result in (
+        ("varying", {}),
+        ("bare", best),
+        ("told_from_nothing", (named, found)),
+        ("shown", (named, ["motor_tilt"])),
+        ("without_trifles", (named, {}, {})),
+        ("adds", {}),
+    ):
+        monkeypatch.setattr(chooser, name, lambda *_, result=result: result)
+    monkeypatch.setattr(choose, "seen_candidates", lambda library: [])
+    monkeypatch.setattr(choose, "rivals_in_part", lambda *_: ())
+    fitter = SimpleNamespace(in_file=lambda one: (named, {"weak_motor": ["scale"]}), weights=None)
+    view = SimpleNamespace(fits={best.label: best}, known=lambda label: True, present=best, fitter=fitter, library=None)
+    refused = chooser.chosen(view).refused  # type: ignore[arg-type]
+    assert refused == {
+        "payload_mass": "probable if noise were all (log odds 10), not as far as flights agree on it, or only beside a "
+        "structure",
+        "weak_motor": "runs into its physical bound: scale",
+        "torque_ratio": f"more probable than not, and not told from nothing (log odds 0.7, {LEAST_SCORE:g} asked)",
+        "com_offset": "told from nothing only beside what is not",
+        "motor_tilt": choose.BLIND,
+    }
 
 
 @pytest.mark.parametrize(("behind", "expected"), [(1.0, "constant_wind"), (5.0, "wind_shear")])

@@ -1,5 +1,7 @@
 """Gains on flights left out, from squares that are written down."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -74,3 +76,29 @@ def test_what_a_channel_loses_is_harm_unless_others_gain_ten_times_as_much(
     assert found.worse == (False, harmful)
     assert found.harmed == (0.0, float(harmful))
     assert bool(judge.harms(found)) is harmful
+
+
+@pytest.mark.parametrize(
+    ("factors", "tolerated", "said"),
+    [
+        ((0.2, 0.2, 0.2, 0.2), 0.0, []),
+        ((0.2, 0.2, 0.2, 0.2), 2.0, ["takes at most 55.3% off a residual, or less than the tolerances hide"]),
+        (
+            (0.2, 0.2, 1.2, 1.2),
+            0.0,
+            ["predicts only 50% of the flights left out", "makes specific_force.x worse in 50%"],
+        ),
+        (
+            (1.0, 1.0, 1.0, 1.0),
+            0.0,
+            ["gain on flights left out may be chance (p = ", "predicts only 0%", "takes at most 0.0%"],
+        ),
+        ((1.3, 1.3, 1.3, 1.3), 0.0, ["gain on", "predicts only 0%", "takes", "makes specific_force.x worse by 14.0%"]),
+    ],
+)
+def test_why_a_gain_on_flights_left_out_does_not_count(factors: tuple, tolerated: float, said: list[str]) -> None:
+    """A fall of the mean square to a fifth is one of the rms by 1 - sqrt(0.2); a rise to 1.3 one by sqrt(1.3) - 1."""
+    judge = replace(left_out(), tolerated=np.full(2, tolerated))
+    found = judge.objections(judge.gain(squares(1.0, 1.0, 1.0, 1.0), squares(*factors)))
+    assert len(found) == len(said), found
+    assert all(text.startswith(start) for text, start in zip(found, said, strict=True)), found

@@ -213,3 +213,21 @@ def test_noise_has_no_memory_as_often_as_stated() -> None:
     assert np.mean(np.array(p_values) < 0.01) < 0.035
     late = [np.roll(part, 3, axis=0) for part in parts]
     assert p_value_of_memory([part + 0.2 * other for part, other in zip(parts, late, strict=True)]) < 1e-4
+
+
+def test_gusts_beside_a_verdict_are_told_in_its_reason() -> None:
+    """Where nothing else is named they explain; what is named or unexplained stays so, and they are told beside it."""
+    wind = RandomWind(std=1.0, p_value=1e-9)
+    assert wind.decision(("none", "nothing", ())) == (
+        "explained",
+        "the flights show gusts; what remains is near the noise floor with them",
+        ("gusts",),
+    )
+    assert wind.decision(("not shown", "what is open", ()))[1] == "the flights show gusts; what is open"
+    assert wind.decision(("unexplained", "more remains", ("rotor_drag",))) == (
+        "unexplained",
+        "more remains; beside it the flights show gusts",
+        ("rotor_drag", "gusts"),
+    )
+    made = ("none", "nothing", ())
+    assert replace(wind, objections=("may be noise",)).decision(made) == made
