@@ -83,7 +83,9 @@ def test_commands_move_with_the_rotor_log_only_if_a_lag_says_so(
     inner = slice(20, moved.time.size - 20)
     row = np.round(moved.time * RATE).astype(int)
     np.testing.assert_allclose(moved.rotor_command[inner, 0], command[row][inner])
-    assert ("commands do not and stay" in moved.notes[0]) is not together
+    lead = f"{1e3 * offset / RATE:.3g} ± {1.96 * 0.1 * 1e3 / RATE:.2g} ms"
+    other = "" if together else "; commands do not and stay"
+    assert moved.notes == (f"rotor log leads the other sensors by {lead} and was moved back{other}",)
 
 
 def test_all_logs_of_a_logger_move_their_commands_or_none() -> None:

@@ -356,6 +356,7 @@ def test_missing_sensors_are_derived_or_left_out(tmp_path: Path) -> None:
         uniform_log(read_flight_log(write(table[[*rest, "omega_x", "omega_y", "omega_z"]], tmp_path / "b.csv")))
     )
     assert bare.lin_vel is None  # derived only by load_flights
+    assert bare.notes == ("neither velocity nor position: drag is predicted as if the vehicle stood still",)
     poor = table[[*rest, "acc_x", "acc_y", "acc_z"]]
     found = load_flights([write(poor, tmp_path / "c.csv")], ROBOT, mapping=None, bandwidth=BAND)[0]
     assert not found.gyro
@@ -365,6 +366,10 @@ def test_missing_sensors_are_derived_or_left_out(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.lin_vel[inner], full.lin_vel[inner], atol=0.01)
     np.testing.assert_allclose(found.ang_vel[inner], full.ang_vel[inner], atol=0.02)
     assert any("velocity derived from position" in note for note in found.notes)
+    assert any(note.startswith("angular velocity derived from attitude; ") for note in found.notes)
+    forces = [column for column in table if not column.startswith("acc_")]
+    found = load_flights([write(table[forces], tmp_path / "d.csv")], ROBOT, mapping=None, bandwidth=BAND)[0]
+    assert found.notes == ("specific force derived from velocity",)
 
 
 def test_tolerances_change_what_they_say() -> None:
