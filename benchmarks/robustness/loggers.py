@@ -3,7 +3,7 @@
     python -m benchmarks.robustness.loggers --seed 4101 [--changes imu_filtered rotor_late] [--jobs 2] [--json]
 
 Each case of the undeclared plant (nuisance errors, moderate effects, one at a time, and none) is judged again with its logs
-changed: sensors late or filtered, scaled, elsewhere, held, missing, drifting, with gaps. A row for each change: how many
+changed: sensors late or filtered, scaled, elsewhere, repeated, missing, drifting, with gaps. A row for each change: how many
 verdicts are right, and what was said of the others. What a change takes away cannot be found: without commands no lag.
 """
 
@@ -87,7 +87,7 @@ def elsewhere(log: pd.DataFrame, rng: np.random.Generator) -> pd.DataFrame:
     return log
 
 
-def held(log: pd.DataFrame, _rng: np.random.Generator) -> pd.DataFrame:
+def repeated(log: pd.DataFrame, _rng: np.random.Generator) -> pd.DataFrame:
     """Return the log of a motion capture with a quarter of its rate, whose last row is repeated."""
     rows = np.arange(len(log)) // 4 * 4
     log[POSITION + ATTITUDE + VELOCITY] = log[POSITION + ATTITUDE + VELOCITY].to_numpy()[rows]
@@ -137,7 +137,7 @@ CHANGES: dict[str, Change] = {
     "acc_drifting": drifting(ACC, 0.05),
     "gyro_drifting": drifting(GYRO, 0.005),
     "velocity_derived": derived,
-    "tracking_held": held,
+    "tracking_repeated": repeated,
     "floor_tilted": tilted,
     "rotor_coarse": lambda log, _rng: log.assign(**{c: (log[c] / 20.0).round() * 20.0 for c in ROTORS}),
     "slow_100": thinned(4),

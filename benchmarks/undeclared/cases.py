@@ -149,8 +149,8 @@ def surround(
     if "battery" in features:
         battery = Battery(true, np.array([_stream(seed, 40, f).uniform(0.0, 1500.0) for f in flights]))
     ceiling = CEILING_HEIGHT if "ceiling" in features else None
-    around = Surroundings(gust=gust, other=other, ceiling=ceiling, rate=CONTROL_RATE, failures=fails)
-    return around, battery
+    surroundings = Surroundings(gust=gust, other=other, ceiling=ceiling, rate=CONTROL_RATE, failures=fails)
+    return surroundings, battery
 
 
 def _stream(seed: int, kind: int, flight: Flight) -> np.random.Generator:
@@ -210,9 +210,9 @@ def fly_case(
     reference = plan_all(flights, seed=seed, duration_s=duration_s)
     streams = [_stream(seed, 10, flight) for flight in flights]
     sensors = Sensors(noise or Noise(), bias, streams, len(reference.yaw), extra=true.extra)
-    around, battery = surround(true, flights, reference, seed=seed, features=features, failures=failures)
+    surroundings, battery = surround(true, flights, reference, seed=seed, features=features, failures=failures)
     record = fly(
-        true=true, declared=declared, reference=reference, sensors=sensors, surroundings=around, battery=battery
+        true=true, declared=declared, reference=reference, sensors=sensors, surroundings=surroundings, battery=battery
     )
     if bias.delay.any():
         record = late(record, bias.delay)
@@ -311,7 +311,7 @@ def _truth(
 ) -> dict[str, object]:
     """Return all that is hidden as plain data."""
     ceiling = case.record.surroundings.ceiling
-    around = {"features": case.features, "nominal_voltage": NOMINAL_VOLTAGE, "ceiling": ceiling}
+    surroundings = {"features": case.features, "nominal_voltage": NOMINAL_VOLTAGE, "ceiling": ceiling}
     summaries = summarise(case.record, case.reference, declared=case.declared, first=first)
     flights = zip(case.flights, summaries, strict=True)
     return {
@@ -324,7 +324,7 @@ def _truth(
         "true_vehicle": vehicle_document(case.true),
         "declared_vehicle": vehicle_document(case.declared),
         "rates_hz": {"log": rate_hz, "autopilot": CONTROL_RATE, "plant": CONTROL_RATE * SUBSTEPS},
-        **(around if case.features else {}),
+        **(surroundings if case.features else {}),
         **({"failures": _failures(case)} if case.failures else {}),
         "flights": {f.name: {"family": f.family, **asdict(s)} for f, s in flights},
     }

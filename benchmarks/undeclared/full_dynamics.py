@@ -294,5 +294,5 @@ class FullPlant(Plant):
 
 def make_plant(vehicle: Vehicle, surroundings: Surroundings | None = None) -> Plant:
     """Return the plain plant if it is enough for the vehicle and its surroundings."""
-    around = surroundings is not None and (surroundings.gust is not None or surroundings.failures is not None)
-    return FullPlant(vehicle, surroundings) if around or vehicle.extra != NEUTRAL else Plant(vehicle)
+    moved = surroundings is not None and (surroundings.gust is not None or surroundings.failures is not None)
+    return FullPlant(vehicle, surroundings) if moved or vehicle.extra != NEUTRAL else Plant(vehicle)

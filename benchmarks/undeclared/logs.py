@@ -57,15 +57,15 @@ def write_log(path: Path, record: Record, flight: int, *, first: int, every: int
     battery = record.voltage[rows, flight, None]
     parts = [time, seen["position"], quaternion(seen["rotation"]), seen["velocity"], seen["rate"], seen["acc"]]
     parts += [seen["rotor"], record.command[rows, flight], battery]
-    columns, digits, around = list(COLUMNS), [*_DIGITS, "%.2f"], record.surroundings
-    if around.other is not None:
+    columns, digits, surroundings = list(COLUMNS), [*_DIGITS, "%.2f"], record.surroundings
+    if surroundings.other is not None:
         parts, columns, digits = (
-            [*parts, around.other[rows, flight]],
+            [*parts, surroundings.other[rows, flight]],
             [*columns, *OTHER_COLUMNS],
             [*digits, *["%.4f"] * 3],
         )
-    if around.ceiling is not None:
-        parts, columns = [*parts, np.full_like(time, around.ceiling)], [*columns, CEILING_COLUMN]
+    if surroundings.ceiling is not None:
+        parts, columns = [*parts, np.full_like(time, surroundings.ceiling)], [*columns, CEILING_COLUMN]
         digits = [*digits, "%.4f"]
     np.savetxt(path, np.hstack(parts), fmt=digits, delimiter=",", header=",".join(columns), comments="")
 
