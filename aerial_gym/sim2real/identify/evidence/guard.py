@@ -89,7 +89,7 @@ class Guard:
     def of(self, model: Model) -> dict[int, Support]:
         """Return what speaks for each candidate of a set."""
         if model not in self._support:
-            values = self._sets.look([model, *(tuple(k for k in model if k != gone) for gone in model)])
+            values = self._sets.log_posterior_of([model, *(tuple(k for k in model if k != gone) for gone in model)])
             odds = dict(zip(model, (values[0] - values[1:]).tolist(), strict=True))
             step = posterior(self._candidates, self._whole, model).step
             self._support[model] = supports(self._candidates, self._whole, self._parts, step, odds)

@@ -40,7 +40,7 @@ class Sets:
         names = {name for k, name in enumerate(self.candidates.exclusive) if k not in self.candidates.structures}
         return float(np.log(max(1, len(names))))
 
-    def look(self, models: Iterable[Model]) -> Array:
+    def log_posterior_of(self, models: Iterable[Model]) -> Array:
         """Return the log posterior of sets up to a constant, (M,); minus infinity for two candidates of one name."""
         keys = [tuple(sorted(model)) for model in models]
         new = [key for key in dict.fromkeys(keys) if key not in self.log_posterior and self._possible(key)]
@@ -87,7 +87,7 @@ def search(candidates: Candidates, normal: Normal, *, starts: Sequence[Model] = 
     """
     reduced, once = candidates.without_tolerances(), normal.marginal(candidates.tolerances)
     sets, places = Sets(candidates=reduced, normal=once), range(len(candidates.columns))
-    sets.look([(), *combinations(places, 1), *combinations(places, 2)])
+    sets.log_posterior_of([(), *combinations(places, 1), *combinations(places, 2)])
     first = sorted(sets.log_posterior, key=sets.log_posterior.__getitem__, reverse=True)[:MOST_STARTS]
     for start in (*starts, *first):
         _climb(sets, tuple(sorted(start)), (steps_from,))
@@ -98,13 +98,13 @@ def search(candidates: Candidates, normal: Normal, *, starts: Sequence[Model] = 
 def _climb(sets: Sets, model: Model, ways: Sequence[Callable[[Model, int], list[Model]]]) -> None:
     """Look at neighbours of a set, and of the best of these, until none is more probable; try one way after the other."""
     count = len(sets.candidates.columns)
-    here = float(sets.look([model])[0])
+    here = float(sets.log_posterior_of([model])[0])
     while True:
         for way in ways:
-            around = way(model, count)
-            values = sets.look(around)
+            neighbours = way(model, count)
+            values = sets.log_posterior_of(neighbours)
             if values.size and values.max() > here:
-                model, here = around[int(values.argmax())], float(values.max())
+                model, here = neighbours[int(values.argmax())], float(values.max())
                 break
         else:
             return

@@ -30,7 +30,7 @@ from aerial_gym.sim2real.identify.evidence.probabilities import inclusion_in, pr
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_of_moments
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, flight_of_rows, time_groups
-from aerial_gym.sim2real.identify.selection.climb import Climber, View, reach_of
+from aerial_gym.sim2real.identify.selection.climb import Climber, View, occam_window
 from aerial_gym.sim2real.identify.selection.in_part import RivalInPart, rivals_in_part
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -169,7 +169,7 @@ class _Chooser:
         """Return the result about the last model."""
         known = (fitted for label, fitted in view.fits.items() if view.known(label))
         fits = sorted(known, key=lambda one: -one.log_posterior)
-        present = narrowest(view.present, fits, reach_of(view.present))
+        present = narrowest(view.present, fits, occam_window(view.present))
         surrogates = self.varying(present, view.fitter)
         named, ends = view.fitter.in_file(self.bare(present, surrogates, fits, view.fitter))
         named, unsure = self.told_from_nothing(named, present, view.fitter)
@@ -247,7 +247,7 @@ class _Chooser:
             if candidate.structure or candidate.name in view.present.effects:
                 continue
             model = tuple(sorted((*view.here, k)))
-            if np.isfinite(view.sets.look([model])[0]):
+            if np.isfinite(view.sets.log_posterior_of([model])[0]):
                 odds = view.guard.of(model)[k].robust_log_odds
                 found[candidate.name] = max(odds, found.get(candidate.name, -np.inf))
         return found
@@ -307,19 +307,19 @@ class _Chooser:
             for beside in (present.structures, rest):
                 varied, parameters = log_posterior(beside, columns)
                 share = float(np.sqrt((parameters.step[-columns[0].shape[2] :] ** 2).sum()))
-                if varied - fitter.log_names - steady > reach_of(present) and share > STEADY:
+                if varied - fitter.log_names - steady > occam_window(present) and share > STEADY:
                     found[name] = kind
         return found
 
 
-def narrowest(present: Fitted, fits: Iterable[Fitted], reach: float) -> Fitted:
-    """Return a set, or the best of those with a narrower case of one of its effects that are less than ``reach`` behind.
+def narrowest(present: Fitted, fits: Iterable[Fitted], window: float) -> Fitted:
+    """Return a set, or the best of those with a narrower case of one of its effects that are less than ``window`` behind.
 
     Where flights do not tell them apart, the narrower case is meant (``Effect.contains``). They do by what the wider one fits
     better with what it has more, not by how little was expected of what the narrower one has instead: a shear that does not
     grow has no vertical wind.
     """
-    likely, fit = present.log_posterior - reach, present.parameters.log_likelihood - reach
+    likely, fit = present.log_posterior - window, present.parameters.log_likelihood - window
     cases = [
         one
         for one in fits

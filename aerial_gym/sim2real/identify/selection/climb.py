@@ -52,7 +52,7 @@ MOST_IN_VAIN = 5
 """Sets that are fitted one after the other without one that is better."""
 
 FAR_BEHIND = 3.0
-"""Times ``reach_of`` that a set is behind another one of which it cannot take any of the probability: odds of 1e-4."""
+"""Times ``occam_window`` that a set is behind another one of which it cannot take any of the probability: odds of 1e-4."""
 
 MOST_RIVALS = 3
 """Other effects that are fitted in the place of one."""
@@ -119,7 +119,7 @@ class View:
         What the linear model has a set behind the present one is less once that is fitted, as any step may gain more than was
         promised.
         """
-        behind, here = self.sets.look([model, self.here])
+        behind, here = self.sets.log_posterior_of([model, self.here])
         if self.known(label_in(self.library, model)):
             return
         beside = any(self.library.candidates[k].in_common for k in model)
@@ -130,7 +130,7 @@ class View:
     def compared(self, *, beside: bool) -> Compared:
         """Return how far a set beside structures, or without any, is fitted: it must be able to come near the best."""
         best = self.best if beside else self.best_bare
-        least = best.log_posterior - FAR_BEHIND * reach_of(best)
+        least = best.log_posterior - FAR_BEHIND * occam_window(best)
         return Compared(least=least, enough=ENOUGH * best.overdispersion)
 
     def add(self, fitted: Fitted) -> None:
@@ -236,7 +236,7 @@ class Climber:
         present, nothing = fitter.fit(effects, structures, start), fitter.fit((), (), self.declared)
         while not present.holds:
             present = fitter.without_weakest(present)
-        return self.look_around(present, {present.label: fitter}, {nothing.label: nothing}, tangents)
+        return self.view_about(present, {present.label: fitter}, {nothing.label: nothing}, tangents)
 
     def climb(self, view: View, ways: Sequence[Way]) -> View:
         """Return the best set that fits lead to from a present one, with all candidates about it."""
@@ -253,7 +253,7 @@ class Climber:
             if (leader := self.leader(view)) is present:
                 return view
             view.library.tangents.clear()  # they take memory
-            view = self.look_around(leader, view.own, view.fits)
+            view = self.view_about(leader, view.own, view.fits)
         return view
 
     def fitter_about(self, params: ModelParams, weights: Weighting) -> Fitter:
@@ -303,7 +303,7 @@ class Climber:
 
     def fit_rivals(self, view: View) -> None:
         """Fit the best sets with another effect in the place of one of the present that may be as probable."""
-        least = view.present.log_posterior - reach_of(view.present)
+        least = view.present.log_posterior - occam_window(view.present)
         for values in swaps(view):
             for model in sorted(values, key=values.__getitem__, reverse=True)[:MOST_RIVALS]:
                 if values[model] > least:
@@ -319,7 +319,7 @@ class Climber:
             if np.isfinite(values.get(best, -np.inf)):
                 view.fit(best, however_far=True)
 
-    def look_around(
+    def view_about(
         self,
         present: Fitted,
         own: dict[Label, Fitter],
@@ -370,7 +370,7 @@ def swaps(view: View) -> Iterator[dict[Model, float]]:
     others = [k for k, one in enumerate(candidates) if not one.structure and one.name not in view.present.effects]
     for gone in (k for k in view.here if not candidates[k].structure):
         models = [tuple(sorted((*(k for k in view.here if k != gone), other))) for other in others]
-        yield dict(zip(models, view.sets.look(models).tolist(), strict=True))
+        yield dict(zip(models, view.sets.log_posterior_of(models).tolist(), strict=True))
 
 
 def forget_but(own: Mapping[Label, Fitter], *kept: Label) -> None:
@@ -380,8 +380,13 @@ def forget_but(own: Mapping[Label, Fitter], *kept: Label) -> None:
             fitter.forget()
 
 
-def reach_of(fitted: Fitted) -> float:
-    """Return by how much log posterior another set may be behind one and not be told from it: odds of ``LEAST_SCORE``."""
+def occam_window(fitted: Fitted) -> float:
+    """Return by how much log posterior another set may be behind one and not be told from it: odds of ``LEAST_SCORE``.
+
+    Source:
+        Madigan, Raftery (1994), Model selection and accounting for model uncertainty in graphical models using Occam's
+        window, Journal of the American Statistical Association 89.
+    """
     return LEAST_SCORE * fitted.overdispersion
 
 

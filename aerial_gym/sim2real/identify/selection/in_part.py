@@ -20,7 +20,7 @@ from aerial_gym.sim2real.identify.evidence.fitting import ENOUGH, Compared, Fitt
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import WEAK_PRIOR
 from aerial_gym.sim2real.identify.least_squares.parameters import is_number, scales
-from aerial_gym.sim2real.identify.selection.climb import FAR_BEHIND, reach_of
+from aerial_gym.sim2real.identify.selection.climb import FAR_BEHIND, occam_window
 from aerial_gym.sim2real.predict.model_params import ModelParams
 
 Array = NDArray[np.float64]
@@ -71,12 +71,12 @@ def rivals_in_part(
         effects: Those of it whose parameters are asked for.
         names: Effects that the flights can show: each that an effect can be confused with is tried.
     """
-    reach, found = reach_of(best), []
+    window, found = occam_window(best), []
     for effect, place, other in _promising(fitter, best, effects, names):
         values = best.params.effects[effect].copy()
         values[place] = fitter.neutral(effect)[place]
         start = best.params.with_effect(effect, values).with_effect(other, fitter.neutral(other))
-        least = best.log_posterior - reach - fitter.log_names
+        least = best.log_posterior - window - fitter.log_names
         fitted = fitter.fit(
             (*best.effects, other),
             best.structures,
@@ -85,7 +85,7 @@ def rivals_in_part(
             compared=Compared(least=least, enough=ENOUGH * best.overdispersion),
         )
         odds = fitted.log_posterior + fitter.log_names - best.log_posterior
-        if odds > -reach and fitted.support[other].holds:
+        if odds > -window and fitted.support[other].holds:
             own = zip(EFFECTS.get(other).parameters, fitted.params.effects[other], strict=True)
             found.append(
                 RivalInPart(
@@ -103,7 +103,7 @@ def _promising(
     fitter: Fitter, best: Fitted, effects: Collection[str], names: Sequence[str]
 ) -> list[tuple[str, int, str]]:
     """Return effect, place of a parameter and other effect, where the linear model may come near the set."""
-    predictor, point, reach = fitter.predictor, best.params, reach_of(best)
+    predictor, point, window = fitter.predictor, best.params, occam_window(best)
     pairs = {name: _confused(fitter, best, name, names) if name in effects else [] for name in best.effects}
     others = list(dict.fromkeys(other for found in pairs.values() for other in found))
     if not others:
@@ -132,10 +132,10 @@ def _promising(
     for number, (effect, place) in enumerate(back):
         shift = int(ends[len(others)]) + number
         rest = np.concatenate((own[[owner != (effect, place) for owner in owners]], beside))
-        if sums.left(rest, shift) - here < reach:
+        if sums.left(rest, shift) - here < window:
             continue  # it is not shown
         for other in pairs[effect]:
-            if sums.left(np.concatenate((rest, columns[other])), shift) - here < FAR_BEHIND * reach:
+            if sums.left(np.concatenate((rest, columns[other])), shift) - here < FAR_BEHIND * window:
                 found.append((effect, place, other))
     return found
 

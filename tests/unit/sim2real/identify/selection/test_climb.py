@@ -12,7 +12,7 @@ from aerial_gym.sim2real.identify.evidence.fitting import Fitted
 from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.selection.climb import FAR_BEHIND, Climber, View, reach_of
+from aerial_gym.sim2real.identify.selection.climb import FAR_BEHIND, Climber, View, occam_window
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from tests.unit.sim2real.fitted_sets import Made, fitted
 
@@ -40,7 +40,7 @@ def view_of(promised: dict[Model, float], *sets: Fitted) -> View:
     ]
     linear = SimpleNamespace(
         log_posterior=promised,
-        look=lambda models: np.array([promised[model] for model in models]),
+        log_posterior_of=lambda models: np.array([promised[model] for model in models]),
         candidates=SimpleNamespace(structures=frozenset()),
     )
     return View(
@@ -62,7 +62,7 @@ def test_a_set_is_not_fitted_that_the_linear_model_has_further_behind_than_a_fit
 ) -> None:
     """A fit gains less than so many times what was promised: what is behind shrinks by no more."""
     best, drag = fitted("com_offset", overdispersion=4.0), fitted("rotor_drag", log=-1e3)
-    behind = times * MOST_TO_PROMISE * FAR_BEHIND * reach_of(best)
+    behind = times * MOST_TO_PROMISE * FAR_BEHIND * occam_window(best)
     view = view_of({(0,): -7.0, (1,): -7.0 - behind}, best, drag)
     view.fit((1,))
     assert (drag.label in view.fits) == tried
@@ -83,7 +83,7 @@ def test_the_best_other_effect_is_fitted_however_far_and_whether_or_not_it_holds
 def test_of_a_set_that_cannot_come_near_the_best_no_part_is_fitted(ahead: float, tried: bool) -> None:
     """It does not hold; what it could have at most is just beside odds of 1e-4 against the best."""
     best, drag = fitted("com_offset", overdispersion=4.0), fitted("rotor_drag", log=-1e3)
-    least = best.log_posterior - FAR_BEHIND * reach_of(best)
+    least = best.log_posterior - FAR_BEHIND * occam_window(best)
     both = fitted("rotor_drag", "motor_tilt", log=-1e3, odds={"motor_tilt": -1.0})
     nothing = cast("Any", None)
     view = View(
@@ -152,7 +152,7 @@ def test_a_set_that_does_not_hold_under_new_weights_is_left_for_what_holds_of_it
     climber = SimpleNamespace(
         declared=ModelParams(),
         fitter_about=lambda *_: Made(both, drag, fitted(log=-50.0)),
-        look_around=lambda present, own, fits, _: (present, list(own), list(fits)),
+        view_about=lambda present, own, fits, _: (present, list(own), list(fits)),
     )
     found = Climber.start_from(cast("Any", climber), both.params, both.effects, (), cast("Any", None))
     assert found == (drag, [drag.label], [()])
