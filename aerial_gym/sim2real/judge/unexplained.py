@@ -106,21 +106,21 @@ def find_unexplained(
     if suspected.any():
         within_flights, whole = left_open(test, params, selection, fitted)
 
-    def remains(floor: Array | None) -> NDArray[np.bool_]:
+    def unexplained_above(floor: Array | None) -> NDArray[np.bool_]:
         cases = ((about, within_flights), (rms, whole))
         return suspected & np.any(
             [material_excess(rms, floor, tolerated) & (excess_over(rms, floor) > limit) for rms, limit in cases],
             axis=0,
         )
 
-    remaining, wind = remains(floor), declared_wind(train.robot)
+    remaining, wind = unexplained_above(floor), declared_wind(train.robot)
     if not wind.accepted:
         wind = find_random_wind(
             train, within, selection.criteria, floor=floor, tolerated=tolerated, remaining=remaining
         )
         if wind.accepted and floor is not None:
             floor = np.hypot(floor, wind.adds(test, params))
-            remaining = remains(floor)
+            remaining = unexplained_above(floor)
     structure, could = Structure(), ()
     if remaining.any():
         places = np.flatnonzero(remaining).tolist()

@@ -206,7 +206,7 @@ class Verdict:
                 name: {"probability": found.probability, "white": found.white, "octaves": list(found.octaves)}
                 for name, found in self.whiteness.items()
             },
-            "remains": list(self.unexplained),
+            "unexplained": list(self.unexplained),
             "not_shown": list(self.not_shown),
             "learned_residual": None if self.learned is None else self.learned.sentence,
             "before": self.before.as_mapping(),

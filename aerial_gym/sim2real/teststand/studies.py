@@ -343,8 +343,8 @@ def _balance_tables(found: Balance) -> list[Table]:
         "candidate",
         "dm [kg]; x, y [m] of the centre of mass; place of the weight [m]; scale, torque_ratio of the rotor",
         "probability",
-        "chance of what it leaves",
-        "chance of its error on logs left out",
+        "p-value of what it leaves",
+        "p-value of its error on logs left out",
         "that error, relative",
     )
     return [*tables, *([Table(title="Candidates", head=head, rows=tuple(rows))] if rows else [])]
