@@ -80,46 +80,6 @@ def find_structure(
     return best if best.share >= LEAST_SHARE else Structure()
 
 
-def squares_beside(
-    structure: Structure,
-    flights: Sequence[Flight],
-    times: Sequence[Array],
-    residuals: Sequence[Array],
-    channels: Sequence[Channel],
-) -> Array:
-    """Return what is left of the squares of each channel when a structure is fitted, (C,), on flights left out.
-
-    The phase of a line is each flight's own, so that it is fitted in every flight.
-    """
-    seen = in_axes_of(structure.kind, flights, times, residuals, channels)
-    if structure.kind != "periodic":
-        return _left_out_squares(features_of(flights, times)[structure.kind], seen)[0]
-    assert structure.freq_hz is not None
-    left = np.zeros(len(channels))
-    for time, values in zip(times, seen, strict=True):
-        turn = 2.0 * np.pi * structure.freq_hz * time
-        columns = np.stack((np.ones_like(time), np.cos(turn), np.sin(turn)), axis=1)
-        left += ((values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]) ** 2).sum(axis=0)
-    return left
-
-
-def structure_values(
-    structure: Structure,
-    flights: Sequence[Flight],
-    times: Sequence[Array],
-    residuals: Sequence[Array],
-    channels: Sequence[Channel],
-) -> list[Array]:
-    """Return the part of the residual that a structure other than a line makes in its channel, (T,) of each flight."""
-    place = [channel.name for channel in channels].index(structure.channel or "")
-    seen = [part[:, place] for part in in_axes_of(structure.kind, flights, times, residuals, channels)]
-    features = features_of(flights, times)[structure.kind]
-    x = np.concatenate(features)
-    columns = np.column_stack((np.ones(len(x)), (x - x.mean(axis=0)) / np.maximum(x.std(axis=0), 1e-12)))
-    fitted = columns @ np.linalg.lstsq(columns, np.concatenate(seen), rcond=1e-6)[0]
-    return np.split(fitted, np.cumsum([len(part) for part in features])[:-1])
-
-
 def in_axes_of(
     kind: str,
     flights: Sequence[Flight],
