@@ -133,6 +133,11 @@ def floors_in_declared_wind(declared: Declared, params: ModelParams) -> list[Arr
     test = declared.test
     wind = declared_wind(declared.robot).adds(test, params)
     floors = [floor_of_flight(declared.robot, f, params, test.channels, test.bandwidth) for f in test.flights]
+    return beside_wind(floors, wind)
+
+
+def beside_wind(floors: Sequence[Array | None], wind: Array) -> list[Array | None]:
+    """Return the noise floors of flights with what random wind adds to each channel, (C,) each."""
     return [None if floor is None else np.hypot(floor, wind) for floor in floors]
 
 
@@ -141,8 +146,7 @@ def floors_with_gusts(floors: Sequence[Array | None], unexplained: Unexplained) 
     still = of_all_flights(floors)
     if still is None or unexplained.floor is None:
         return list(floors)
-    wind = np.sqrt(np.maximum(unexplained.floor**2 - still**2, 0.0))
-    return [None if floor is None else np.hypot(floor, wind) for floor in floors]
+    return beside_wind(floors, np.sqrt(np.maximum(unexplained.floor**2 - still**2, 0.0)))
 
 
 def judged_effects(
@@ -330,5 +334,10 @@ def corrected_robot(declared: Declared, params: ModelParams, accepted: Sequence[
     }
     flights = ", ".join(flight.name for flight in declared.train.flights)
     source = f"{', '.join(accepted)}: aerial-gym close-loop on the flights {flights}"
+    return with_effects(learned, effects, source)
+
+
+def with_effects(robot: RobotCfg, effects: dict[str, dict[str, float]], source: str) -> RobotCfg:
+    """Return a robot with these effects in place of its own, and with where they come from told before where its own did."""
     before = f"; before: {robot.effects_source}" if robot.effects_source else ""
-    return replace(learned, effects=effects, effects_source=f"{source}{before}")
+    return replace(robot, effects=effects, effects_source=f"{source}{before}")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from aerial_gym.sim2real.identify.candidates.library import neutral_of
 from aerial_gym.sim2real.identify.least_squares.moments import time_groups
 from aerial_gym.sim2real.judge.evaluation import Evaluation, gap_closed
-from aerial_gym.sim2real.judge.outcome import Outcome, rollout_outcome
+from aerial_gym.sim2real.judge.outcome import Outcome, channel_outcome, rollout_outcome
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -104,7 +104,7 @@ def by_flight(
                 before=rms[0],
                 after=rms[1],
                 floor=own,
-                became=Outcome(name=channel.name, about=channel.words, where="", rise=rise, least=least),
+                became=channel_outcome(channel, rise, least),
             )
             for channel, own, (rms, rise) in zip(predictor.channels, level, changes, strict=True)
         ] + _rollout_parts(index, evaluations, least, seed)

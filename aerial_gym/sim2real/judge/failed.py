@@ -6,7 +6,7 @@ from dataclasses import replace
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.failures.finding import Failure, same_in_all
-from aerial_gym.sim2real.judge.analysis import Judged
+from aerial_gym.sim2real.judge.analysis import Judged, with_effects
 from aerial_gym.sim2real.judge.outcome import NOTHING_NAMED
 from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT, NamedEffect, Verdict
 
@@ -85,6 +85,5 @@ def _how_to_train(failure: Failure) -> str:
 
 def _failing(robot: RobotCfg, effect: NamedEffect) -> RobotCfg:
     """Return the robot with a failure that every flight has."""
-    source = f"{effect.name}: aerial-gym close-loop, in every flight"
-    before = f"; before: {robot.effects_source}" if robot.effects_source else ""
-    return replace(robot, effects={**robot.effects, effect.name: effect.params}, effects_source=f"{source}{before}")
+    effects = {**robot.effects, effect.name: effect.params}
+    return with_effects(robot, effects, f"{effect.name}: aerial-gym close-loop, in every flight")

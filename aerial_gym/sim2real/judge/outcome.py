@@ -10,6 +10,7 @@ import numpy as np
 
 from aerial_gym.sim2real.identify.least_squares.moments import flight_of_rows, time_groups
 from aerial_gym.sim2real.judge.evaluation import Evaluation
+from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
@@ -93,7 +94,7 @@ def _channels(predictor: Predictor, models: tuple[ModelParams, ModelParams], lea
     before, after = (np.concatenate(predictor.residuals(model)) for model in models)
     rises = rise_with_interval(after, before, time_groups(predictor.times), flight_of_rows(predictor.times))
     for channel, rise in zip(predictor.channels, rises, strict=True):
-        yield Outcome(name=channel.name, about=channel.words, where="", rise=rise, least=least)
+        yield channel_outcome(channel, rise, least)
 
 
 def _rollouts(evaluations: tuple[Evaluation, Evaluation], least: float) -> Iterator[Outcome]:
@@ -106,6 +107,11 @@ def _rollouts(evaluations: tuple[Evaluation, Evaluation], least: float) -> Itera
             rises = rise_with_interval(new, old, errors.windows.cluster, errors.windows.flight)
             for horizon, rise in zip(errors.horizons, rises, strict=True):
                 yield rollout_outcome(variant, quantity, horizon, rise, least)
+
+
+def channel_outcome(channel: Channel, rise: Rise, least: float) -> Outcome:
+    """Return what became of a channel."""
+    return Outcome(name=channel.name, about=channel.words, where="", rise=rise, least=least)
 
 
 def rollout_outcome(variant: str, quantity: str, horizon: float, rise: Rise, least: float) -> Outcome:
