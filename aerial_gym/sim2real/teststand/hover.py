@@ -15,15 +15,12 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.statistics import Rms
-from aerial_gym.sim2real.teststand.statistics import Estimate, correlated_covariance, held_out_error, rms
+from aerial_gym.sim2real.teststand.statistics import FOLDS, Estimate, correlated_covariance, held_out_error, rms
 
 Array = NDArray[np.float64]
 
 WINDOW_S = 0.5
 """Means are taken over windows of this length [s]."""
-
-FOLDS = 5
-"""Parts of a single flight that are left out in turn."""
 
 SLOWEST = 0.4
 """A vehicle below this speed [m/s] hovers: linear drag of 0.5 m/s² per m/s is then below 2 % of the weight."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.statistics import (
+    PARSIMONY,
     Estimate,
     estimates,
     held_out_error,
@@ -34,9 +35,6 @@ MAPS: dict[str, tuple[int, ...]] = {
 
 BEYOND = {"w³, w² and w": (3, 2, 1)}
 """A candidate that no robot file holds: if it predicts much better, the polynomial of second order is not the whole truth."""
-
-PARSIMONY = 0.02
-"""A map with fewer terms is taken if its held-out error is at most this share larger."""
 
 STALLED = 0.02
 """A speed of 0 at more than this share of the highest thrust is a speed sensor that does not read."""

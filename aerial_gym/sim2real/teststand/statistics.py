@@ -14,6 +14,12 @@ from aerial_gym.sim2real.statistics import Rms, rms_with_interval
 
 Array = NDArray[np.float64]
 
+PARSIMONY = 0.02
+"""A law with fewer parameters is taken if its held-out error is at most this share larger."""
+
+FOLDS = 5
+"""Parts of a single flight that are left out in turn."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.statistics import Rms
-from aerial_gym.sim2real.teststand.statistics import CurveFit, Estimate, fit_curve, held_out_error, rms
+from aerial_gym.sim2real.teststand.statistics import PARSIMONY, CurveFit, Estimate, fit_curve, held_out_error, rms
 from aerial_gym.sim2real.teststand.tables import Bench
 
 Array = NDArray[np.float64]
@@ -22,9 +22,6 @@ SHORTEST_STEP = 5
 
 NO_LIMIT = 1e9
 """Stands for a slew limit that is never reached [rad/s²]."""
-
-PARSIMONY = 0.02
-"""A law with fewer parameters is taken if its held-out error is at most this share larger."""
 
 BOUNDS: dict[str, tuple[float, float, float]] = {
     "tau": (0.03, 1e-3, 2.0),

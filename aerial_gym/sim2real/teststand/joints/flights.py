@@ -13,7 +13,6 @@ import pandas as pd
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.joint import SpringCfg
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.errors import ConfigError
 from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.outcome import NOTHING_NAMED
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
@@ -21,7 +20,7 @@ from aerial_gym.sim2real.logs.signals import uniform_log
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.joints.courses import read_course
-from aerial_gym.sim2real.teststand.joints.flown import FlownJoint, fit_flown_joints
+from aerial_gym.sim2real.teststand.joints.flown import FlownJoint, fit_flown_joints, joints_of
 from aerial_gym.sim2real.teststand.joints.found import FoundJoint
 from aerial_gym.sim2real.teststand.joints.hidden import fit_hidden_joints
 from aerial_gym.sim2real.teststand.joints.swing import ride_of
@@ -93,8 +92,7 @@ def find_joints(
         ConfigError: If the robot has no joints, or one that cannot be fitted without the angles of all.
         DataError: If a log does not hold what is needed.
     """
-    if robot.joints is None:
-        raise ConfigError("identify joints: this robot has no joints. identify joint fits a bench record")
+    joints_of(robot)
     if any(_has_angles(path) for path in flights):
         logged, left_out = fit_flown_joints(robot, [read_course(path, robot, bandwidth=bandwidth) for path in flights])
         return FoundJoints(
@@ -113,8 +111,7 @@ def _has_angles(path: Path) -> bool:
 
 
 def _in_short(robot: RobotCfg, joint: FlownJoint) -> FoundJoint:
-    assert robot.joints is not None
-    declared = next(one.spring for one in robot.joints.layout if one.name == joint.name) or SpringCfg()
+    declared = next(one.spring for one in joints_of(robot).layout if one.name == joint.name) or SpringCfg()
     params = joint.laws[joint.chosen].params
     return FoundJoint(
         name=joint.name,

@@ -16,12 +16,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from aerial_gym.config.joint import JointCfg, SpringCfg
+from aerial_gym.config.joint import JointCfg, JointsCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.joints.courses import Course
 from aerial_gym.sim2real.teststand.statistics import (
+    FOLDS,
+    PARSIMONY,
     Estimate,
     correlated_covariance,
     estimates,
@@ -30,12 +32,6 @@ from aerial_gym.sim2real.teststand.statistics import (
 )
 
 Array = NDArray[np.float64]
-
-FOLDS = 5
-"""Parts of a single flight that are left out in turn."""
-
-PARSIMONY = 0.02
-"""A law with fewer parameters is taken if its held-out error is at most this share larger."""
 
 CLEAR = 0.8
 """Size of s from which a joint moves to one side for long enough."""
@@ -98,16 +94,21 @@ class FlownJoint:
         }
 
 
+def joints_of(robot: RobotCfg) -> JointsCfg:
+    """Return the joints of a robot; raise ``ConfigError`` if it is rigid."""
+    if robot.joints is None:
+        raise ConfigError("identify joints: this robot has no joints. identify joint fits a bench record")
+    return robot.joints
+
+
 def fit_flown_joints(robot: RobotCfg, courses: Sequence[Course]) -> tuple[list[FlownJoint], list[str]]:
     """Return every passive joint fitted to all flights, and why others are left out.
 
     Raises:
         ConfigError: If the robot is rigid.
     """
-    if robot.joints is None:
-        raise ConfigError("identify joints: this robot has no joints. identify joint fits a bench record")
     found, left_out = [], []
-    for k, joint in enumerate(robot.joints.layout):
+    for k, joint in enumerate(joints_of(robot).layout):
         reason = unfit(joint)
         if reason:
             left_out.append(f"{joint.name}: {reason}")

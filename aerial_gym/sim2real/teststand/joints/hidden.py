@@ -26,10 +26,10 @@ from aerial_gym.sim2real.predict.rows.dataset import SAMPLES_PER_BAND
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.joints.courses import SLOW
-from aerial_gym.sim2real.teststand.joints.flown import FOLDS, MATERIAL, unfit
+from aerial_gym.sim2real.teststand.joints.flown import MATERIAL, joints_of, unfit
 from aerial_gym.sim2real.teststand.joints.found import FoundJoint
 from aerial_gym.sim2real.teststand.joints.swing import CHANNELS, SETTLE_S, Laws, Ride, Swing
-from aerial_gym.sim2real.teststand.statistics import correlated_covariance, estimates, held_out_error
+from aerial_gym.sim2real.teststand.statistics import FOLDS, correlated_covariance, estimates, held_out_error
 
 Array = NDArray[np.float64]
 
@@ -64,9 +64,7 @@ def fit_hidden_joints(
         ConfigError: If the robot is rigid, or has a joint whose effort nobody knows.
         DataError: If a flight is too short.
     """
-    if robot.joints is None:
-        raise ConfigError("identify joints: this robot has no joints. identify joint fits a bench record")
-    left_out = [f"{joint.name}: {reason}" for joint in robot.joints.layout if (reason := unfit(joint))]
+    left_out = [f"{joint.name}: {reason}" for joint in joints_of(robot).layout if (reason := unfit(joint))]
     if left_out:
         raise ConfigError(f"identify joints: without logged angles all joints are needed, and {left_out[0]}")
     return _Fit(robot, rides, bandwidth).run(progress)
@@ -76,8 +74,7 @@ class _Fit:
     """Gauss-Newton steps from the declared numbers."""
 
     def __init__(self, robot: RobotCfg, rides: Sequence[Ride], bandwidth: float) -> None:
-        assert robot.joints is not None
-        self.joints, self.swing = robot.joints.layout, Swing(robot, rides, bandwidth=bandwidth)
+        self.joints, self.swing = joints_of(robot).layout, Swing(robot, rides, bandwidth=bandwidth)
         self.springs = [joint.spring or SpringCfg() for joint in self.joints]
         self.owners = [(k, name) for k, spring in enumerate(self.springs) for name in NUMBERS[spring.quadratic > 0.0]]
         self.declared = np.array([getattr(self.springs[k], name) for k, name in self.owners])

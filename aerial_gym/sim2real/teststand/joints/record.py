@@ -11,7 +11,7 @@ from scipy.integrate import odeint
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.statistics import Rms
-from aerial_gym.sim2real.teststand.statistics import CurveFit, Estimate, fit_curve, held_out_error, rms
+from aerial_gym.sim2real.teststand.statistics import PARSIMONY, CurveFit, Estimate, fit_curve, held_out_error, rms
 from aerial_gym.sim2real.teststand.tables import Bench
 
 Array = NDArray[np.float64]
@@ -21,9 +21,6 @@ PUBLISHED = {"stiffness": 5834.85, "damping": 229.24, "rest": 0.12566}
 
 BLOCK_EDGES_S = (0.0, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0)
 """Blocks that are left out in turn begin here after the release [s]: early ones are short, so that the first moments count."""
-
-PARSIMONY = 0.02
-"""A law with fewer parameters is taken if its held-out error is at most this share larger."""
 
 BOUNDS: dict[str, tuple[float, float, float]] = {
     "release": (0.003, -0.005, 0.01),
