@@ -7,12 +7,12 @@ from pathlib import Path
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.env_manager.sim_builder import robot_by_name
-from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.errors import DataError
 from aerial_gym.interop import one_thread
 from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate, missing_for_rollouts
 from aerial_gym.sim2real.logs.flights import Flight, load_flights, notes_of, rigid_notes
-from aerial_gym.sim2real.logs.inputs import file_digests
+from aerial_gym.sim2real.logs.inputs import check_bandwidth, file_digests
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.predict.channels import comparison_band, find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
@@ -78,8 +78,7 @@ def replay(
     """
     if not flights:
         raise DataError("needs at least one flight to replay")
-    if not 0.5 <= bandwidth <= 100.0:
-        raise ConfigError(f"bandwidth_hz = {bandwidth!r}: must lie in [0.5, 100] Hz")
+    check_bandwidth(bandwidth)
     if out_dir is not None:
         check_out_dir(Path(out_dir))
     declared = robot_by_name(robot)

@@ -4,13 +4,13 @@ Letters: T rows.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import signal, stats
 
-from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.recording import FlightLog, part_of
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
 
 Array = NDArray[np.float64]
@@ -202,13 +202,13 @@ def shift_rotor_log(log: FlightLog, offset: ClockOffset, *, commands: bool = Tru
         return log
     rows, whole = np.arange(log.time.size), int(np.ceil(abs(offset.rows)))
     kept = slice(whole, None) if offset.rows > 0.0 else slice(0, -whole)
-    arrays = {f.name: value[kept] for f in fields(log) if isinstance(value := getattr(log, f.name), np.ndarray)}
+    moved: dict[str, Array] = {}
     for name in ("rotor_speed", "rotor_command")[: 1 + commands]:
         values = getattr(log, name)
         if values is not None:
-            arrays[name] = np.stack([np.interp(rows[kept] - offset.rows, rows, column) for column in values.T], axis=1)
+            moved[name] = np.stack([np.interp(rows[kept] - offset.rows, rows, column) for column in values.T], axis=1)
     step = 1e3 * float(np.median(np.diff(log.time)))
     other = "" if commands else "; commands do not and stay"
     ahead = f"{offset.rows * step:.3g} ± {1.96 * offset.std * step:.2g} ms"
     note = f"rotor log leads the other sensors by {ahead} and was moved back{other}"
-    return replace(log, **arrays, notes=(*log.notes, note))
+    return replace(part_of(log, kept), **moved, notes=(*log.notes, note))

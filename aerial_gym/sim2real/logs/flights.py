@@ -20,7 +20,6 @@ from aerial_gym.sim2real.logs.checks.conventions import (
     check_log,
     check_quaternion_norm,
     check_time,
-    rate_of,
 )
 from aerial_gym.sim2real.logs.checks.copies import SeenLogs
 from aerial_gym.sim2real.logs.checks.rotor_law import check_rotor_law
@@ -31,7 +30,7 @@ from aerial_gym.sim2real.logs.on_ground import rows_on_ground
 from aerial_gym.sim2real.logs.position_jumps import mend_position_jumps
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
-from aerial_gym.sim2real.logs.recording import FlightLog, Recording
+from aerial_gym.sim2real.logs.recording import FlightLog, Recording, rate_of
 from aerial_gym.sim2real.logs.repeated_samples import mend_repeated_samples
 from aerial_gym.sim2real.logs.rotor_clock import check_rotor_clock, clock_offsets, commands_move
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass, uniform_log, without_gaps
@@ -157,11 +156,6 @@ def distinct_files(paths: Sequence[str | Path]) -> dict[Path, str | Path]:
             raise DataError(f"{path}: is given twice (also as {seen[real]}); a flight is for training or for testing")
         seen[real] = path
     return seen
-
-
-def load_flight(path: str | Path, robot: RobotCfg, *, mapping: LogMapping | None, bandwidth: float) -> Flight:
-    """Return one flight, as ``load_flights`` does."""
-    return load_flights([path], robot, mapping=mapping, bandwidth=bandwidth)[0]
 
 
 def mended_log(log: FlightLog) -> FlightLog:

@@ -44,8 +44,7 @@ def read_inputs(
     """
     if not train or not test:
         raise DataError("needs at least one flight to train on (--train) and another one to test on (--test)")
-    if not 0.5 <= bandwidth <= 100.0:
-        raise ConfigError(f"bandwidth_hz = {bandwidth!r}: must lie in [0.5, 100] Hz")
+    check_bandwidth(bandwidth)
     paths, refused = [*train, *test], list[DataError]()
     distinct_files(paths)
     digests = file_digests(paths)
@@ -58,6 +57,12 @@ def read_inputs(
             raise DataError(f"{refused[0]}{others if len(refused) > 1 else ''}") from None
     notes = tuple(f"{LEFT_OUT}{error}" for error in refused)
     return Inputs(train=found[0], test=found[1], left_out=notes, digests=digests)
+
+
+def check_bandwidth(bandwidth: float) -> None:
+    """Raise ``ConfigError`` for a bandwidth [Hz] in which nothing can be compared."""
+    if not 0.5 <= bandwidth <= 100.0:
+        raise ConfigError(f"bandwidth_hz = {bandwidth!r}: must lie in [0.5, 100] Hz")
 
 
 def load_train_and_test(

@@ -10,9 +10,8 @@ from scipy import ndimage
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.checks.conventions import rate_of
 from aerial_gym.sim2real.logs.declared_rotors import followed, lift
-from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]

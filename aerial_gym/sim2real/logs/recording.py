@@ -4,7 +4,7 @@ World is ENU (z up), body is x forward, y left, z up, quaternions are xyzw, body
 Letters: T rows, R rotors.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -99,3 +99,14 @@ class FlightLog(Recording):
     def where(self, row: int) -> str:
         """Return how messages name a row: file, line and time."""
         return f"{self.path}, line {row + 1 + HEADER_LINES} (t = {self.time[row]:.6g} s)"
+
+
+def part_of(log: FlightLog, rows: slice) -> FlightLog:
+    """Return some rows of a log."""
+    arrays = {f.name: value[rows] for f in fields(log) if isinstance(value := getattr(log, f.name), np.ndarray)}
+    return replace(log, **arrays)
+
+
+def rate_of(log: FlightLog) -> float:
+    """Return the rows per second [Hz]."""
+    return (log.time.size - 1) / float(log.time[-1] - log.time[0])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -166,7 +166,7 @@ def _longest_frozen(log: FlightLog, name: str, repeats: RepeatedSamples) -> Froz
 
 def _sentence(log: FlightLog, name: str, repeats: RepeatedSamples) -> str:
     if repeats.usual > 1.0:
-        rate = (log.time.size - 1) / float(log.time[-1] - log.time[0])
+        rate = rate_of(log)
         said = f"comes only {rate / repeats.usual:.3g} times per second (the log has {rate:.4g} rows)"
     else:
         longest = int(np.diff(repeats.fresh, append=repeats.num_rows).max()) - 1

@@ -15,7 +15,6 @@ from aerial_gym.errors import DataError
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.effects.one_rotor import declared_lag
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
-from aerial_gym.sim2real.logs.checks.conventions import rate_of
 from aerial_gym.sim2real.logs.clock_offset import (
     LARGEST_SHIFT_S,
     ClockOffset,
@@ -24,7 +23,7 @@ from aerial_gym.sim2real.logs.clock_offset import (
     common_offsets,
     offset_curve,
 )
-from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass
 
 Array = NDArray[np.float64]

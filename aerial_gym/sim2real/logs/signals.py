@@ -3,7 +3,7 @@
 Everything here uses future samples: it is for logs, not for flight. Letters: T rows, K columns.
 """
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.recording import FlightLog, part_of
 
 Array = NDArray[np.float64]
 
@@ -184,6 +184,5 @@ def _without_loose_ends(log: FlightLog) -> FlightLog:
     if len(sizes) == 1 or sizes[longest] < (1.0 - LOOSE_END) * log.time.size:
         return log
     part = slice(edges[longest], edges[longest + 1])
-    arrays = {f.name: value[part] for f in fields(log) if isinstance(value := getattr(log, f.name), np.ndarray)}
     note = f"{log.time.size - sizes[longest]} rows beyond a gap of {steps.max():.3g} s at the end or start were cut off"
-    return replace(log, **arrays, notes=(*log.notes, note))
+    return replace(part_of(log, part), notes=(*log.notes, note))

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from aerial_gym.config.robot import BodyCfg, CollisionCfg, MountCfg, MountsCfg, RobotCfg, RotorCfg
+from aerial_gym.sim2real.logs.flights import Flight, load_flights
+from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 
 Array = NDArray[np.float64]
 
@@ -106,6 +108,11 @@ def flight(
         (time, place + np.array([0.0, 0.0, 5.0]), attitude.as_quat(), velocity, rate_body, specific, speed)
     )
     return pd.DataFrame(table, columns=list(COLUMNS))
+
+
+def load_flight(path: str | Path, robot: RobotCfg, *, mapping: LogMapping | None, bandwidth: float) -> Flight:
+    """Return one flight, as ``load_flights`` does."""
+    return load_flights([path], robot, mapping=mapping, bandwidth=bandwidth)[0]
 
 
 def write(table: pd.DataFrame, path: Path) -> Path:

@@ -13,20 +13,17 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.checks.kinematics import kinematic_errors
+from aerial_gym.sim2real.logs.checks.kinematics import CHECK_BANDWIDTH_HZ, kinematic_errors
 from aerial_gym.sim2real.logs.checks.rotors import check_rotors
 from aerial_gym.sim2real.logs.checks.units import check_growth, check_units
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
-from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
 from aerial_gym.sim2real.logs.signals import lowpass
 
 Array = NDArray[np.float64]
 
 SHORTEST_S = 2.0
 LOWEST_RATE_HZ = 20.0
-CHECK_BANDWIDTH_HZ = 4.0
-"""Comparisons are made below this: slow enough for every log, fast enough for every flight."""
-
 WORST_AGREEMENT = 0.7
 """Two sensors that differ by more than this share of their signal do not measure the same thing."""
 
@@ -55,11 +52,6 @@ def check_log(log: FlightLog, robot: RobotCfg) -> list[str]:
     _check_force_frame(log, attitude)
     check_growth(log)
     return [*notes, *(text for errors in kinematic_errors(log) for text in errors.sentences())]
-
-
-def rate_of(log: FlightLog) -> float:
-    """Return the rows per second [Hz]."""
-    return (log.time.size - 1) / float(log.time[-1] - log.time[0])
 
 
 def check_time(log: FlightLog) -> None:

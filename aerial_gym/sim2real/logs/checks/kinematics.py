@@ -11,12 +11,12 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
-from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
 
 Array = NDArray[np.float64]
 
-BANDWIDTH_HZ = 4.0
+CHECK_BANDWIDTH_HZ = 4.0
 """Comparisons are made below this: slow enough for every log, fast enough for every flight."""
 
 BLOCK_S = 0.5
@@ -84,12 +84,12 @@ def kinematic_errors(log: FlightLog) -> list[ImuErrors]:
     The log has equal time steps. The gyro is compared with the derivative of the attitude, the accelerometer with that of the
     velocity plus gravity, turned into body axes.
     """
-    rate = (log.time.size - 1) / float(log.time[-1] - log.time[0])
+    rate = rate_of(log)
     found = []
     if log.ang_vel is not None:
         found.append(_fit_errors("gyro", log.ang_vel, attitude_rate(log.attitude, rate), np.zeros(3), rate))
     if log.specific_force is not None and log.lin_vel is not None:
-        change = lowpass(log.lin_vel, rate, 2.0 * BANDWIDTH_HZ, derivative=True) + np.array(
+        change = lowpass(log.lin_vel, rate, 2.0 * CHECK_BANDWIDTH_HZ, derivative=True) + np.array(
             [0.0, 0.0, STANDARD_GRAVITY]
         )
         motion = Rotation.from_quat(log.attitude).apply(change, inverse=True)
@@ -107,7 +107,7 @@ def attitude_rate(attitude: Array, rate: float) -> Array:
 
 def _fit_errors(sensor: str, measured: Array, motion: Array, level: Array, rate: float) -> ImuErrors | None:
     """Return the errors of a sensor; None if the log is too short. ``level``: part of the motion that a hover has as well."""
-    band = min(BANDWIDTH_HZ, 0.2 * rate)
+    band = min(CHECK_BANDWIDTH_HZ, 0.2 * rate)
     slow, rise = lowpass(motion, rate, band), lowpass(motion, rate, band, derivative=True)
     edge = edge_rows(rate, band)
     inner = slice(edge, -edge)

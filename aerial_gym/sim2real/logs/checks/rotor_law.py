@@ -11,10 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.checks.conventions import rate_of
 from aerial_gym.sim2real.logs.checks.units import SURE
 from aerial_gym.sim2real.logs.declared_rotors import followed, lift
-from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
 
 Array = NDArray[np.float64]
 

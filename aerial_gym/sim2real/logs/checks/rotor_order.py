@@ -14,8 +14,9 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
-from aerial_gym.sim2real.logs.checks.conventions import CHECK_BANDWIDTH_HZ, WORST_AGREEMENT, rate_of
-from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.checks.conventions import WORST_AGREEMENT
+from aerial_gym.sim2real.logs.checks.kinematics import CHECK_BANDWIDTH_HZ
+from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
 
 Array = NDArray[np.float64]

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
-from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass
 
 Array = NDArray[np.float64]
@@ -186,23 +186,19 @@ def _by_accelerometer(log: FlightLog, letter: str) -> Relation | None:
     if values is None or log.specific_force is None:
         return None
     if letter == "p":
-        values = lowpass(values, _rate(log), min(DERIVED_HZ, DERIVED_BAND * _rate(log)), derivative=True)
+        values = lowpass(values, rate_of(log), min(DERIVED_HZ, DERIVED_BAND * rate_of(log)), derivative=True)
     felt = Rotation.from_quat(log.attitude).apply(log.specific_force) - (0.0, 0.0, STANDARD_GRAVITY)
     return relate(_steps(log, values), _sums(log, felt))
 
 
 def _steps(log: FlightLog, values: Array) -> Array:
     """Return by how much values (T, 3) change over each window, (N, 3)."""
-    return np.diff(values[:: max(1, round(WINDOW_S * _rate(log)))], axis=0)
+    return np.diff(values[:: max(1, round(WINDOW_S * rate_of(log)))], axis=0)
 
 
 def _sums(log: FlightLog, values: Array) -> Array:
     """Return the integral of values (T, 3) over each window, (N, 3)."""
-    return _steps(log, cumulative_trapezoid(values, dx=1.0 / _rate(log), axis=0, initial=0.0))
-
-
-def _rate(log: FlightLog) -> float:
-    return (log.time.size - 1) / float(log.time[-1] - log.time[0])
+    return _steps(log, cumulative_trapezoid(values, dx=1.0 / rate_of(log), axis=0, initial=0.0))
 
 
 def _culprits(found: Relation, log: FlightLog) -> list[str]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.flights import Flight, load_flight
+from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.on_ground import rows_on_ground
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
@@ -18,7 +18,7 @@ from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import declared_params
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
-from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write
 
 RATE = 100.0
 ROTORS = [f"rotor_{n}" for n in range(1, 5)]

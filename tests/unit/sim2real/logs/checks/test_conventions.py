@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.checks.conventions import body_rate_of, check_log, check_quaternion_norm, check_time
-from aerial_gym.sim2real.logs.flights import load_flight, load_flights
+from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import uniform_log
-from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write
 
 Q, OMEGA, ACC, V, P = (
     ["q_x", "q_y", "q_z", "q_w"],

@@ -9,9 +9,8 @@ import pytest
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.checks.rotor_law import relative_slope
 from aerial_gym.sim2real.logs.declared_rotors import lift
-from aerial_gym.sim2real.logs.flights import load_flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
-from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write
 
 ROTORS = [f"rotor_{n}" for n in range(1, 5)]
 COMMANDS = [f"cmd_{n}" for n in range(1, 5)]

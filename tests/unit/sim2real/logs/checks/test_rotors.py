@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.flights import Flight, load_flight
-from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from aerial_gym.sim2real.logs.flights import Flight
+from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write
 
 ROTORS, COMMANDS = ([f"{name}_{n}" for n in range(1, 5)] for name in ("rotor", "cmd"))
 

@@ -10,11 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.checks.units import check_growth, check_units, relate
-from aerial_gym.sim2real.logs.flights import load_flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from tests.repetitions import thinned
-from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write
 
 V, P, ACC = (["v_x", "v_y", "v_z"], ["p_x", "p_y", "p_z"], ["acc_x", "acc_y", "acc_z"])
 

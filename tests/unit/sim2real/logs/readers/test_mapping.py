@@ -10,14 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.config import build
 from aerial_gym.errors import ConfigError, DataError, MissingDependencyError
-from aerial_gym.sim2real.logs.flights import load_flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping, mapping_names
 from aerial_gym.sim2real.logs.readers.ulog import topics_table
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import uniform_log
 from aerial_gym.sim2real.predict.channels import find_channels
-from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write
 
 BASE = {
     "summary": "test",

@@ -16,7 +16,6 @@ from aerial_gym.physics import EFFECTS, vehicle_from_config
 from aerial_gym.physics.effects import Condition, Moment, Parameter, WrenchEffect
 from aerial_gym.physics.effects.arm_joint import ArmJoint
 from aerial_gym.physics.effects.track import Track, relax
-from aerial_gym.sim2real.logs.flights import load_flight
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -25,7 +24,7 @@ from aerial_gym.sim2real.predict.rollout import Batch, roll_out
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from benchmarks.undeclared import make_case
 from benchmarks.undeclared.sensors import NOISELESS
-from tests.unit.sim2real.flat_flights import ROBOT
+from tests.unit.sim2real.flat_flights import ROBOT, load_flight
 from tests.unit.sim2real.predict.test_scene import RATE, hover
 
 Array = NDArray[np.float64]
