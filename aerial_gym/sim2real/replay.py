@@ -31,7 +31,7 @@ class Replay:
     robot: RobotCfg
     flights: tuple[Flight, ...]
     predictor: Predictor
-    point: ModelParams
+    params: ModelParams
     bandwidth: float
     evaluation: Evaluation
 
@@ -106,16 +106,16 @@ def replay_flights(robot: RobotCfg, flights: Sequence[Flight], *, bandwidth: flo
     band = comparison_band(flights, bandwidth)
     channels = find_channels(flights)
     predictor = Predictor(robot, flights, bandwidth=band, channels=channels, tolerances=Tolerances())
-    point = declared_params(robot)
+    params = declared_params(robot)
     check_scene(tuple(robot.effects), flights)
-    floor = noise_floor(robot, flights, point, channels, bandwidth=band)
+    floor = noise_floor(robot, flights, params, channels, bandwidth=band)
     return Replay(
         robot=robot,
         flights=tuple(flights),
         predictor=predictor,
-        point=point,
+        params=params,
         bandwidth=band,
-        evaluation=evaluate(robot, flights, predictor, point, floor=floor, seed=seed),
+        evaluation=evaluate(robot, flights, predictor, params, floor=floor, seed=seed),
     )
 
 
@@ -129,8 +129,8 @@ def _write(folder: Path, result: Replay) -> None:
 
     text = json.dumps(result.as_mapping(), indent=1, ensure_ascii=False, allow_nan=False)
     (folder / "replay.json").write_text(text + "\n", encoding="utf-8")
-    write_residuals(folder / "residuals.csv", {"replay": result.predictor}, {"declared": result.point})
-    channels, found = result.predictor.channels, profiles(result.predictor, {"declared": result.point})
+    write_residuals(folder / "residuals.csv", {"replay": result.predictor}, {"declared": result.params})
+    channels, found = result.predictor.channels, profiles(result.predictor, {"declared": result.params})
     write_profiles(folder / "profiles.csv", found, channels)
     figures = [{"title": "Residuals", "image": plots.residual_bars(result.evaluation, None)}]
     for variant, title in VARIANTS.items():
@@ -138,7 +138,7 @@ def _write(folder: Path, result: Replay) -> None:
             figures.append({"title": title, "image": plots.rollout_bars(result.evaluation, None, variant)})
     for kind in dict.fromkeys(channel.kind for channel in channels):
         words = kind.replace("_", " ")
-        image = plots.traces(result.predictor, {"declared": result.point}, kind)
+        image = plots.traces(result.predictor, {"declared": result.params}, kind)
         figures.append({"title": f"The {words} over time", "image": image})
         image = plots.residual_profiles(found, channels, kind)
         figures.append({"title": f"Mean residual of the {words} with its standard error", "image": image})

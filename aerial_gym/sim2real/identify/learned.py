@@ -109,19 +109,19 @@ class Learned:
         }
 
 
-def train_residual(predictor: Predictor, point: ModelParams, left_out: LeftOut, *, seed: int = 0) -> Learned:
+def train_residual(predictor: Predictor, params: ModelParams, left_out: LeftOut, *, seed: int = 0) -> Learned:
     """Return a network for what a model leaves of the training flights, unless it does not predict flights left out better.
 
     Args:
         predictor: Of the training flights.
-        point: The model with its named effects.
+        params: The model with its named effects.
         left_out: Of the same flights: what is left out together, and what counts as better.
         seed: Of the first weights.
 
     Raises:
         ConfigError: If the robot file already has a learned residual.
     """
-    if point.learned is not None:
+    if params.learned is not None:
         raise ConfigError(
             "the robot file already has a learned_residual, and named effects come first. Take it out to learn it anew"
         )
@@ -129,7 +129,7 @@ def train_residual(predictor: Predictor, point: ModelParams, left_out: LeftOut, 
         return Learned(cfg=None, objections=("the flights have no velocity",))
     if not {channel.name for channel in predictor.channels} & set(OUTPUTS):
         return Learned(cfg=None, objections=("the flights show neither force nor angular acceleration",))
-    trainer = _Trainer(predictor, point, left_out, seed)
+    trainer = _Trainer(predictor, params, left_out, seed)
     decay, errors = trainer.best_decay()
     if not (errors < 1.0 - LEAST_SHARE).all():
         trainer.keep(errors < 1.0 - LEAST_SHARE)
@@ -143,13 +143,13 @@ def train_residual(predictor: Predictor, point: ModelParams, left_out: LeftOut, 
     return Learned(cfg=trainer.cfg_of(trainer.train(decay)), objections=(), gain=gain, decay=decay)
 
 
-def judge_on_test(learned: Learned, predictor: Predictor, point: ModelParams, floor: Array | None) -> Learned:
+def judge_on_test(learned: Learned, predictor: Predictor, params: ModelParams, floor: Array | None) -> Learned:
     """Return what a learned residual takes of the gap that a model without it leaves on the test flights."""
     if learned.effect is None:
         return learned
     less, more = (
         np.mean(np.square(np.concatenate(predictor.residuals(model))), axis=0)
-        for model in (point, replace(point, learned=learned.effect))
+        for model in (params, replace(params, learned=learned.effect))
     )
     gap = less - (0.0 if floor is None else np.square(floor))
     gaps = {
@@ -157,7 +157,7 @@ def judge_on_test(learned: Learned, predictor: Predictor, point: ModelParams, fl
         for c, channel in enumerate(predictor.channels)
         if channel.name in OUTPUTS
     }
-    felt = torch.from_numpy(np.concatenate(predictor.felt(point)))
+    felt = torch.from_numpy(np.concatenate(predictor.felt(params)))
     outside = int((learned.effect.distance(felt) > 1.0).sum())
     return replace(learned, gaps=gaps, rows=felt.shape[0], rows_outside=outside)
 
@@ -196,10 +196,10 @@ class _Layers:
 class _Trainer:
     """The rows of the training flights, standardised."""
 
-    def __init__(self, predictor: Predictor, point: ModelParams, left_out: LeftOut, seed: int) -> None:
-        self._predictor, self._point, self._left_out, self._seed = predictor, point, left_out, seed
-        self._felt = np.concatenate(predictor.felt(point))
-        self._residual = np.concatenate(predictor.residuals(point))
+    def __init__(self, predictor: Predictor, params: ModelParams, left_out: LeftOut, seed: int) -> None:
+        self._predictor, self._point, self._left_out, self._seed = predictor, params, left_out, seed
+        self._felt = np.concatenate(predictor.felt(params))
+        self._residual = np.concatenate(predictor.residuals(params))
         names = [channel.name for channel in predictor.channels]
         self.outputs = [k for k, name in enumerate(OUTPUTS) if name in names]
         target = self._residual[:, [names.index(OUTPUTS[k]) for k in self.outputs]]

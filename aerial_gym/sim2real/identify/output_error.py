@@ -129,8 +129,8 @@ def refit_on_rollouts(predictor: Predictor, selection: Selection) -> Refit:
     windows = find_windows(predictor.flights, WINDOW_S, every=WINDOW_EVERY_S, most=MOST_WINDOWS)
     runs = Rollouts(predictor, windows)
     deviation = best_within_tolerances(predictor.robot, fit, selection.left_out.weights.weight).deviation
-    frozen, point = fit.frozen, replace(fit.point, deviation=deviation)
-    found = runs.linearise(fit.effects, point, frozen)
+    frozen, params = fit.frozen, replace(fit.params, deviation=deviation)
+    found = runs.linearise(fit.effects, params, frozen)
     if windows.row.size < 2 * _moving(found.fit):
         reason = f"the training flights hold only {windows.row.size} windows of {WINDOW_S:g} s"
         return _not_done(reason, windows.row.size)
@@ -142,9 +142,9 @@ def refit_on_rollouts(predictor: Predictor, selection: Selection) -> Refit:
         std = dict(zip(found.fit.free_effects.tolist(), uncertainty(found.fit, found.weight).std, strict=True))
         if all(abs(step[k]) < SMALL * std[k] for k in std):
             break
-        values = params_of(point, fit.effects) + scales(fit.effects) * step
-        point = with_params(predictor.robot, point, fit.effects, values)
-        found = runs.linearise(fit.effects, point, frozen)
+        values = params_of(params, fit.effects) + scales(fit.effects) * step
+        params = with_params(predictor.robot, params, fit.effects, values)
+        found = runs.linearise(fit.effects, params, frozen)
     return judge(predictor, selection, found, windows)
 
 
@@ -162,8 +162,8 @@ def _moving(fit: Fit) -> int:
 def best_within_tolerances(robot: RobotCfg, fit: Fit, weight: Array) -> ModelParams:
     """Return a fitted model with the deviations within the tolerances that fit its flights best."""
     step = best_step(fit, weight, fit.free_all)
-    values = params_of(fit.point, fit.effects) + scales(fit.effects) * step[: fit.num_effect_params]
-    return replace(with_params(robot, fit.point, fit.effects, values), deviation=step[fit.num_effect_params :])
+    values = params_of(fit.params, fit.effects) + scales(fit.effects) * step[: fit.num_effect_params]
+    return replace(with_params(robot, fit.params, fit.effects, values), deviation=step[fit.num_effect_params :])
 
 
 def impossible(predictor: Predictor, selection: Selection) -> str:
@@ -173,7 +173,7 @@ def impossible(predictor: Predictor, selection: Selection) -> str:
         return "no effect is accepted"
     if any(flight.lin_vel is None or flight.attitude_integrated for flight in flights):
         return "the logs have no velocity and attitude to compare rollouts with"
-    if any(EFFECTS.get(name).kind is LoadEffect for name in selection.final.fit.point.effects):
+    if any(EFFECTS.get(name).kind is LoadEffect for name in selection.final.fit.params.effects):
         return "where a slung load hangs at the start of a window is not logged"
     if all(EFFECTS.get(name).kind is ImuEffect for name in names):
         return "errors of the inertial sensors change no rollout"
@@ -183,15 +183,15 @@ def impossible(predictor: Predictor, selection: Selection) -> str:
 def judge(predictor: Predictor, selection: Selection, found: Linear, windows: Windows) -> Refit:
     """Return the refit with every objection to it: judged on flights left out, each time without it in both fits."""
     one, left_out, effects = selection.final, selection.left_out, found.fit.effects
-    point, own = replace(found.fit.point, deviation=None), found.fit.num_effect_params
-    predicted = predictor.predict(point)
-    tolerance, offsets = tolerance_jacobian(predictor, found.fit.point), selection.own_offsets
+    params, own = replace(found.fit.params, deviation=None), found.fit.num_effect_params
+    predicted = predictor.predict(params)
+    tolerance, offsets = tolerance_jacobian(predictor, found.fit.params), selection.own_offsets
     fit = replace(
-        linearise(predictor, effects, point, tolerance, base=predicted, offsets=offsets)[0], frozen=one.fit.frozen
+        linearise(predictor, effects, params, tolerance, base=predicted, offsets=offsets)[0], frozen=one.fit.frozen
     )
-    deviation = found.fit.point.deviation
+    deviation = found.fit.params.deviation
     assert deviation is not None
-    ahead = (params_of(one.fit.point, effects) - params_of(point, effects)) / scales(effects)
+    ahead = (params_of(one.fit.params, effects) - params_of(params, effects)) / scales(effects)
     ahead = np.concatenate((ahead, -deviation))  # from where rollouts are linearised to where single steps are
     shown = np.isin(np.arange(own), found.fit.free_effects)
     fold = left_out.fold
@@ -239,7 +239,7 @@ def _at_bounds(predictor: Predictor, fit: Fit) -> list[str]:
     return [
         f"{name} {parameter} runs into its physical bound"
         for name in fit.effects
-        for parameter in at_bounds(name, fit.point, neutral_of(name, declared, robot), robot)
+        for parameter in at_bounds(name, fit.params, neutral_of(name, declared, robot), robot)
     ]
 
 
@@ -302,7 +302,7 @@ def _changes(one: Scored, found: Linear) -> tuple[Change, ...]:
     """Return what rollouts say of each parameter that they show."""
     known, scale = dict(zip(one.spread.columns.tolist(), one.spread.std, strict=True)), scales(one.effects)
     spread, changes = uncertainty(found.fit, found.weight), []
-    first, second = params_of(one.fit.point, one.effects), params_of(found.fit.point, one.effects)
+    first, second = params_of(one.fit.params, one.effects), params_of(found.fit.params, one.effects)
     for k, std in zip(spread.columns.tolist(), spread.std, strict=True):
         effect, place = one.fit.owners[k]
         changes.append(

@@ -129,11 +129,11 @@ def refit(selected: Selected, *, progress: Progress) -> Refitted:
     tried = refit_on_rollouts(declared.train, by_steps)
     adopted = tried.adopted and tried.scored is not None
     selection = replace(by_steps, final=tried.scored) if adopted else by_steps
-    params = rounded(declared.robot, selection.final.fit.point, selection.accepted)
+    params = rounded(declared.robot, selection.final.fit.params, selection.accepted)
     return Refitted(declared=declared, selection=selection, refit=tried, params=params)
 
 
-def rounded(robot: RobotCfg, point: ModelParams, effects: Sequence[str]) -> ModelParams:
-    """Return the point with the parameters as the robot file will hold them."""
-    values = np.array([float(f"{value:.{SIGNIFICANT_DIGITS}g}") for value in params_of(point, effects)])
-    return with_params(robot, point, effects, values)
+def rounded(robot: RobotCfg, params: ModelParams, effects: Sequence[str]) -> ModelParams:
+    """Return the parameters with the parameters as the robot file will hold them."""
+    values = np.array([float(f"{value:.{SIGNIFICANT_DIGITS}g}") for value in params_of(params, effects)])
+    return with_params(robot, params, effects, values)

@@ -73,22 +73,22 @@ class Rollouts:
         self._declared = vehicle_from_config(predictor.robot, num_envs=1, dtype=torch.float64)
         self._commanded = is_commanded(predictor.flights)
 
-    def linearise(self, effects: tuple[str, ...], point: ModelParams, frozen: Frozen) -> Linear:
+    def linearise(self, effects: tuple[str, ...], params: ModelParams, frozen: Frozen) -> Linear:
         """Return rollouts about a point."""
         predictor, scale = self._predictor, scales(effects)
-        here, (lowest, highest) = params_of(point, effects), bounds_of(predictor.robot, effects)
+        here, (lowest, highest) = params_of(params, effects), bounds_of(predictor.robot, effects)
         owners = [(name, place) for name in effects for place in range(len(EFFECTS.get(name).parameters))]
-        points, steps = [point], []
+        points, steps = [params], []
         for k, owner in enumerate(owners):
             step = STEP if here[k] + STEP * scale[k] <= highest[k] else -STEP
             there = here.copy()
             there[k] += step * scale[k] * is_number(*owner)
-            points.append(with_params(predictor.robot, point, effects, there))
+            points.append(with_params(predictor.robot, params, effects, there))
             steps.append(step)
         for k in range(predictor.num_tolerances):
-            deviation = np.zeros(predictor.num_tolerances) if point.deviation is None else point.deviation.copy()
+            deviation = np.zeros(predictor.num_tolerances) if params.deviation is None else params.deviation.copy()
             deviation[k] += STEP
-            points.append(replace(point, deviation=deviation))
+            points.append(replace(params, deviation=deviation))
             steps.append(STEP)
         missed = self._fly(points)  # (1 + K + 9, W, S, 6)
         residual, count = missed[0], len(points)
@@ -99,7 +99,7 @@ class Rollouts:
             sums = eliminated(residual, jacobian, start, weight)
             fit = Fit(
                 effects=effects,
-                point=point,
+                params=params,
                 moments=sums,
                 low=np.concatenate(((lowest - here) / scale, np.full(predictor.num_tolerances, -FARTHEST_DEVIATION))),
                 high=np.concatenate(((highest - here) / scale, np.full(predictor.num_tolerances, FARTHEST_DEVIATION))),
@@ -123,8 +123,8 @@ class Rollouts:
         Measured minus flown velocity [m/s], world, and the turn from the flown to the measured attitude [rad], body.
         """
         predictor, windows = self._predictor, self._windows
-        off = [deviated(self._declared, predictor.tolerances, point.deviation) for point in points]
-        keys = [_moves_alike(one, point) for one, point in zip(off, points, strict=True)]
+        off = [deviated(self._declared, predictor.tolerances, params.deviation) for params in points]
+        keys = [_moves_alike(one, params) for one, params in zip(off, points, strict=True)]
         first = [keys.index(key) for key in keys]  # what is off in sensors alone flies as the first one does
         flown = sorted(set(first))
         points, off = [points[k] for k in flown], [off[k] for k in flown]
@@ -156,19 +156,19 @@ class Rollouts:
         variants: dict[bytes, int] = {}
         found: list[Flight] = []
         which = np.zeros(len(points), dtype=np.int64)
-        for place, (point, one) in enumerate(zip(points, off, strict=True)):
-            key = what_moves_commands(one, point) if self._commanded else b""
+        for place, (params, one) in enumerate(zip(points, off, strict=True)):
+            key = what_moves_commands(one, params) if self._commanded else b""
             if key not in variants:
                 variants[key] = len(variants)
-                found += with_arriving_commands(one, flights, point) if self._commanded else flights
+                found += with_arriving_commands(one, flights, params) if self._commanded else flights
             which[place] = variants[key]
         return found, which
 
 
-def _moves_alike(off: Deviated, point: ModelParams) -> tuple[object, ...]:
+def _moves_alike(off: Deviated, params: ModelParams) -> tuple[object, ...]:
     """Return what tells rollouts of a model from those of others."""
     numbers = [rows.numpy().tobytes() for rows in off.vehicle.rows().values()]
-    return (*numbers, off.command_shift, off.joint_start, key_of(replace(point, deviation=None)))
+    return (*numbers, off.command_shift, off.joint_start, key_of(replace(params, deviation=None)))
 
 
 def _nudged(state: BodyState, nudge: Tensor) -> BodyState:

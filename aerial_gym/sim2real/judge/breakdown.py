@@ -156,8 +156,8 @@ def where_it_acts(
     place = int(np.argmax(weight * (change[acts] ** 2).mean(axis=0)))
     group = time_groups(predictor.times)[acts]
     rms = [
-        rms_with_interval(np.concatenate(predictor.residuals(point))[acts][:, place : place + 1], group, seed=seed)[0]
-        for point in (declared, final)
+        rms_with_interval(np.concatenate(predictor.residuals(params))[acts][:, place : place + 1], group, seed=seed)[0]
+        for params in (declared, final)
     ]
     channel = predictor.channels[place]
     return Regime(

@@ -72,19 +72,19 @@ def evaluate(
     robot: RobotCfg,
     flights: Sequence[Flight],
     predictor: Predictor,
-    point: ModelParams,
+    params: ModelParams,
     *,
     floor: Array | None,
     seed: int,
 ) -> Evaluation:
     """Return residuals and rollouts of a model on flights that were not used for its fit."""
-    residuals = predictor.residuals(point)
+    residuals = predictor.residuals(params)
     group = time_groups(predictor.times)
     rollouts: dict[str, RolloutErrors] = {}
     if not missing_for_rollouts(flights):
-        links, sizes = predictor.links(point), predictor.tolerances
+        links, sizes = predictor.links(params), predictor.tolerances
         variants = {"free": False, "given_attitude": True}
-        rollouts = roll_out_variants(robot, flights, point, variants, links=links, tolerances=sizes)
+        rollouts = roll_out_variants(robot, flights, params, variants, links=links, tolerances=sizes)
     return Evaluation(
         channels=predictor.channels,
         residual=tuple(rms_with_interval(np.concatenate(residuals), group, seed=seed)),

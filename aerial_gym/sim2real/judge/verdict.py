@@ -223,7 +223,7 @@ def named_effects(
 ) -> tuple[NamedEffect, ...]:
     """Return the accepted effects with parameters, spread and confidence, and with what was found out about them after."""
     fit, spread, inclusion = selection.final.fit, selection.final.spread, selection.chosen.inclusion
-    values, scale = params_of(fit.point, fit.effects), scales(fit.effects)
+    values, scale = params_of(fit.params, fit.effects), scales(fit.effects)
     std = dict(zip(fit.free_effects.tolist(), spread.std, strict=True))
     noise = dict(zip(fit.free_effects.tolist(), np.sqrt(np.diag(spread.blocks)), strict=True))
     owners = (fit.owners[k] for k in fit.free_effects.tolist())

@@ -31,7 +31,7 @@ class ModelParams:
     """What flights have taught beyond the effects."""
 
     def with_effect(self, name: str, params: Array) -> "ModelParams":
-        """Return the point with one effect added or replaced."""
+        """Return the parameters with one effect added or replaced."""
         return replace(self, effects={**self.effects, name: params})
 
 
@@ -44,18 +44,18 @@ def declared_params(robot: RobotCfg) -> ModelParams:
     )
 
 
-def effects_at(point: ModelParams, rows: int) -> list[EffectParams]:
-    """Return the effects of a point with their parameters in every row, (E, P)."""
+def effects_at(params: ModelParams, rows: int) -> list[EffectParams]:
+    """Return the effects of a model with their parameters in every row, (E, P)."""
     found: list[EffectParams] = [
-        (EFFECTS.get(name), torch.from_numpy(np.asarray(params, dtype=float)).expand(rows, -1))
-        for name, params in point.effects.items()
+        (EFFECTS.get(name), torch.from_numpy(np.asarray(values, dtype=float)).expand(rows, -1))
+        for name, values in params.effects.items()
     ]
-    if point.learned is not None:
-        found.append((point.learned, torch.ones(rows, 1, dtype=torch.float64)))
+    if params.learned is not None:
+        found.append((params.learned, torch.ones(rows, 1, dtype=torch.float64)))
     return found
 
 
-def key_of(point: ModelParams) -> tuple[object, ...]:
-    """Return what tells effects and deviations of a point from those of others, their order included."""
-    effects = [(name, np.asarray(params, dtype=float).tobytes()) for name, params in point.effects.items()]
-    return (None if point.deviation is None else point.deviation.tobytes(), *effects)
+def key_of(params: ModelParams) -> tuple[object, ...]:
+    """Return what tells effects and deviations of a model from those of others, their order included."""
+    effects = [(name, np.asarray(values, dtype=float).tobytes()) for name, values in params.effects.items()]
+    return (None if params.deviation is None else params.deviation.tobytes(), *effects)

@@ -66,10 +66,10 @@ FEWEST_LINES = 4
 
 
 def noise_floor(
-    robot: RobotCfg, flights: Sequence[Flight], point: ModelParams, channels: Sequence[Channel], *, bandwidth: float
+    robot: RobotCfg, flights: Sequence[Flight], params: ModelParams, channels: Sequence[Channel], *, bandwidth: float
 ) -> Array | None:
     """Return the floor (rms) of each channel below ``bandwidth`` [Hz], (C,); None where every log is too slow to tell."""
-    return of_all_flights([floor_of_flight(robot, flight, point, channels, bandwidth) for flight in flights])
+    return of_all_flights([floor_of_flight(robot, flight, params, channels, bandwidth) for flight in flights])
 
 
 def of_all_flights(floors: Sequence[Array | None]) -> Array | None:
@@ -79,7 +79,7 @@ def of_all_flights(floors: Sequence[Array | None]) -> Array | None:
 
 
 def floor_of_flight(
-    robot: RobotCfg, flight: Flight, point: ModelParams, channels: Sequence[Channel], bandwidth: float
+    robot: RobotCfg, flight: Flight, params: ModelParams, channels: Sequence[Channel], bandwidth: float
 ) -> Array | None:
     """Return the floor (rms) of each channel of one flight, (C,); None where its log is too slow to tell.
 
@@ -90,15 +90,15 @@ def floor_of_flight(
     readings, rate = [is_reading(channel, flight) for channel in channels], flight.rate
     as_logged = wide_predictor(robot, flight, channels, [as_measured(flight)])
     rows = longest_flight(flight, as_logged.times[0], bandwidth)
-    floor = floor_of_columns(as_logged.residuals(point)[0][rows], rate, bandwidth, readings)
+    floor = floor_of_columns(as_logged.residuals(params)[0][rows], rate, bandwidth, readings)
     expected = estimate_rotors(robot, [flight], bandwidth)
     if floor is None:
         return None
-    slow = square_of_slow_rounding(robot, flight, point, channels, bandwidth)
+    slow = square_of_slow_rounding(robot, flight, params, channels, bandwidth)
     if expected[0] is None:
         return np.sqrt(floor**2 + slow)
     quiet = wide_predictor(robot, flight, channels, expected)
-    apart = (as_logged.predict(point)[0] - quiet.predict(point)[0])[rows]
+    apart = (as_logged.predict(params)[0] - quiet.predict(params)[0])[rows]
     least = floor_of_columns(as_logged.measured[0][rows], rate, bandwidth, readings)
     assert least is not None
     left = floor**2 - (lowpass(apart, rate, bandwidth) ** 2).mean(axis=0)
@@ -106,7 +106,7 @@ def floor_of_flight(
 
 
 def square_of_slow_rounding(
-    robot: RobotCfg, flight: Flight, point: ModelParams, channels: Sequence[Channel], bandwidth: float
+    robot: RobotCfg, flight: Flight, params: ModelParams, channels: Sequence[Channel], bandwidth: float
 ) -> Array:
     """Return the mean square of what rounding leaves of each channel in the band, and that above it does not tell, (C,).
 
@@ -121,7 +121,7 @@ def square_of_slow_rounding(
     readings, squares = [is_reading(channel, flight) for channel in channels], []
     for log in rounded:
         noisy = wide_predictor(robot, log, channels, [as_measured(log)])
-        apart = (noisy.residuals(point)[0] - plain.residuals(point)[0])[rows]
+        apart = (noisy.residuals(params)[0] - plain.residuals(params)[0])[rows]
         told = floor_of_columns(apart, flight.rate, bandwidth, readings)
         assert told is not None
         squares.append((lowpass(apart, flight.rate, bandwidth) ** 2).mean(axis=0) - told**2)

@@ -110,47 +110,47 @@ class Predictor:
         """Number N of tolerances."""
         return len(self.tolerances.names(self.robot.num_rotors))
 
-    def predict(self, point: ModelParams) -> list[Array]:
+    def predict(self, params: ModelParams) -> list[Array]:
         """Return the predicted channels of each flight, (rows kept, C)."""
-        changing = {name: params for name, params in point.effects.items() if not self._adds_nothing(name, params)}
-        point = replace(point, effects=changing)
-        key = self._told_apart(point)
+        changing = {name: values for name, values in params.effects.items() if not self._adds_nothing(name, values)}
+        params = replace(params, effects=changing)
+        key = self._told_apart(params)
         if key not in self._predictions:
-            self._predictions[key] = [found for part in self._parts for found in part.predict(point)]
+            self._predictions[key] = [found for part in self._parts for found in part.predict(params)]
             if len(self._predictions) * sum(part.nbytes for part in self.measured) > KEPT_BYTES:
                 self._predictions.popitem(last=False)
         self._predictions.move_to_end(key)
         return [np.stack(columns).T for columns in self._predictions[key]]
 
-    def residuals(self, point: ModelParams) -> list[Array]:
+    def residuals(self, params: ModelParams) -> list[Array]:
         """Return measured minus predicted channels of each flight, (rows kept, C)."""
-        return [m - p for m, p in zip(self.measured, self.predict(point), strict=True)]
+        return [m - p for m, p in zip(self.measured, self.predict(params), strict=True)]
 
-    def felt(self, point: ModelParams) -> list[Array]:
+    def felt(self, params: ModelParams) -> list[Array]:
         """Return the inputs of a learned residual at the rows of each flight, in the band, (rows kept, 7) each."""
-        return [felt for part in self._parts for felt in part.felt(point)]
+        return [felt for part in self._parts for felt in part.felt(params)]
 
-    def links(self, point: ModelParams) -> list[Link] | None:
+    def links(self, params: ModelParams) -> list[Link] | None:
         """Return how the load of a model swings along each flight, begun as its log says; None for a model without one."""
-        if not any(EFFECTS.get(name).kind is LoadEffect for name in point.effects):
+        if not any(EFFECTS.get(name).kind is LoadEffect for name in params.effects):
             return None
-        return [link for part in self._parts for link in part.links(point)]
+        return [link for part in self._parts for link in part.links(params)]
 
-    def _told_apart(self, point: ModelParams) -> tuple[object, ...]:
+    def _told_apart(self, params: ModelParams) -> tuple[object, ...]:
         """Return what tells the predictions of a model from those of others: the vehicle that comes out, and all else in order.
 
         An effect on the vehicle that changes nothing, or the same as a deviation or another effect, is no other model.
         """
-        effects = {name: EFFECTS.get(name).kind for name in point.effects}
-        on_vehicle = {name: params for name, params in point.effects.items() if effects[name] is VehicleEffect}
-        others = {name: params for name, params in point.effects.items() if name not in on_vehicle}
-        off = deviated(self._declared, self.tolerances, point.deviation)
+        effects = {name: EFFECTS.get(name).kind for name in params.effects}
+        on_vehicle = {name: values for name, values in params.effects.items() if effects[name] is VehicleEffect}
+        others = {name: values for name, values in params.effects.items() if name not in on_vehicle}
+        off = deviated(self._declared, self.tolerances, params.deviation)
         vehicle = build_model(off.vehicle, effects_at(ModelParams(effects=on_vehicle), 1)).vehicle
-        logged = b"" if point.deviation is None else sensed(self.tolerances, torch.from_numpy(point.deviation)).key
+        logged = b"" if params.deviation is None else sensed(self.tolerances, torch.from_numpy(params.deviation)).key
         numbers = [rows.numpy().tobytes() for rows in vehicle.rows().values()]
         others_key = key_of(ModelParams(effects=others))
-        return (*numbers, logged, off.command_shift, off.joint_start, others_key, point.learned)
+        return (*numbers, logged, off.command_shift, off.joint_start, others_key, params.learned)
 
-    def _adds_nothing(self, name: str, params: Array) -> bool:
+    def _adds_nothing(self, name: str, values: Array) -> bool:
         effect = EFFECTS.get(name)
-        return effect.kind in ADDED and np.array_equal(params, effect.neutral(self.robot))
+        return effect.kind in ADDED and np.array_equal(values, effect.neutral(self.robot))

@@ -80,7 +80,7 @@ class RolloutErrors:
 def roll_out(
     robot: RobotCfg,
     flights: Sequence[Flight],
-    point: ModelParams,
+    params: ModelParams,
     *,
     links: Sequence[Link] | None = None,
     horizons: Sequence[float] = HORIZONS_S,
@@ -89,13 +89,13 @@ def roll_out(
 ) -> RolloutErrors:
     """Return the open-loop errors of a model; arguments as for ``roll_out_variants``."""
     variant = {"": given_attitude}
-    return roll_out_variants(robot, flights, point, variant, links=links, horizons=horizons, tolerances=tolerances)[""]
+    return roll_out_variants(robot, flights, params, variant, links=links, horizons=horizons, tolerances=tolerances)[""]
 
 
 def roll_out_variants(
     robot: RobotCfg,
     flights: Sequence[Flight],
-    point: ModelParams,
+    params: ModelParams,
     variants: Mapping[str, bool],
     *,
     links: Sequence[Link] | None = None,
@@ -107,7 +107,7 @@ def roll_out_variants(
     Args:
         robot: Declared robot.
         flights: Flights with velocity.
-        point: Effects of the model, and its deviations within the tolerances.
+        params: Effects of the model, and its deviations within the tolerances.
         variants: Of each, whether attitude and angular velocity are set to the measured ones after every step.
         links: How its load swings along each flight; None: as if it hung still when the log begins.
         horizons: When to compare [s]; those that no flight is long enough for are left out.
@@ -118,9 +118,9 @@ def roll_out_variants(
     windows = find_windows(flights, max(kept))
     commanded = is_commanded(flights)
     declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
-    off = deviated(declared, tolerances or Tolerances(), point.deviation)
+    off = deviated(declared, tolerances or Tolerances(), params.deviation)
     if commanded:
-        flights = with_arriving_commands(off, flights, point)
+        flights = with_arriving_commands(off, flights, params)
     shape = (len(variants), windows.row.size, len(kept))
     errors = {name: np.full(shape, np.nan) for name in QUANTITIES}
     load = None if links is None else load_at(links, flights, windows)
@@ -129,7 +129,7 @@ def roll_out_variants(
         one = np.zeros(every.size, dtype=np.int64)
         starts = windows.flight[every], windows.row[every]
         begun = None if load is None else load[every]
-        run = Batch([off.vehicle], [point], one, flights, *starts, load=begun, settled=[off.joint_start])
+        run = Batch([off.vehicle], [params], one, flights, *starts, load=begun, settled=[off.joint_start])
         at = {run.steps(horizon): place for place, horizon in enumerate(kept)}
         given = np.repeat(list(variants.values()), members.size)
         for step, state, truth in run.fly(run.measured(0), at, given_attitude=given):

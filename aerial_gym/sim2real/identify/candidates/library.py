@@ -117,11 +117,11 @@ def tangents_about(
     Arguments as for ``build_library``.
     """
     found, base = list[Tangent](), predictor.predict(present)
-    for name, point in origins(declared, present, accepted, skipped, predictor.robot):
-        named = point is present
-        columns = effect_jacobian(predictor, point, (name,), base if named else predictor.predict(point))
+    for name, params in origins(declared, present, accepted, skipped, predictor.robot):
+        named = params is present
+        columns = effect_jacobian(predictor, params, (name,), base if named else predictor.predict(params))
         if all(np.isfinite(part).all() for part in columns):  # else a pendulum goes over the top of the present model
-            found.append(Tangent(name=name, named=named, start=point.effects[name], columns=single(columns)))
+            found.append(Tangent(name=name, named=named, start=params.effects[name], columns=single(columns)))
     return found
 
 
@@ -233,17 +233,17 @@ def origins(
             found.append((name, present))
         if name in skipped and name not in accepted:
             continue
-        for point in starts(name, present, declared, robot):
-            if name not in accepted or (has_rotor(name) and point.effects[name][0] != present.effects[name][0]):
-                found.append((name, point))
+        for params in starts(name, present, declared, robot):
+            if name not in accepted or (has_rotor(name) and params.effects[name][0] != present.effects[name][0]):
+                found.append((name, params))
     return found
 
 
-def starts(name: str, point: ModelParams, declared: ModelParams, robot: RobotCfg) -> list[ModelParams]:
+def starts(name: str, params: ModelParams, declared: ModelParams, robot: RobotCfg) -> list[ModelParams]:
     """Return the model with an effect where its fits start: at neutral, once for each rotor that it may act on."""
     if name in declared.effects:
-        return [point.with_effect(name, declared.effects[name])]
-    return [point.with_effect(name, np.array(start)) for start in EFFECTS.get(name).starts(robot)]
+        return [params.with_effect(name, declared.effects[name])]
+    return [params.with_effect(name, np.array(start)) for start in EFFECTS.get(name).starts(robot)]
 
 
 def has_starts(name: str, robot: RobotCfg) -> bool:

@@ -225,7 +225,7 @@ class Fitter:
         return Fitted(
             effects=effects,
             structures=tuple(structures),
-            params=fit.point,
+            params=fit.params,
             log_posterior=value if np.isfinite(value) else -np.inf,
             parameters=parameters,
             support=support,

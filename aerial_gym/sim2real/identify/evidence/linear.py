@@ -74,7 +74,7 @@ def linear_about(fit: Fit, neutral: Sequence[Array]) -> LinearFit:
     free, count = fit.free_all, fit.free_effects.size
     away = np.zeros(fit.low.size)
     if fit.effects:
-        away[: fit.num_effect_params] = (params_of(fit.point, fit.effects) - np.concatenate(neutral)) / scales(
+        away[: fit.num_effect_params] = (params_of(fit.params, fit.effects) - np.concatenate(neutral)) / scales(
             fit.effects
         )
     here, every = away[free], np.arange(fit.moments.count.size)

@@ -31,7 +31,7 @@ def column_by_column(like: Array, parameters: int) -> Array:
 
 def effect_jacobian(
     predictor: Predictor,
-    point: ModelParams,
+    params: ModelParams,
     effects: Sequence[str],
     base: list[Array],
     *,
@@ -41,7 +41,7 @@ def effect_jacobian(
 
     Those in ``beside`` (rows, C, N) come behind them.
     """
-    here, scale = params_of(point, effects), scales(effects)
+    here, scale = params_of(params, effects), scales(effects)
     highest = bounds_of(predictor.robot, effects)[1]
     owners = [(name, place) for name in effects for place in range(len(EFFECTS.get(name).parameters))]
     width, behind = len(owners), [np.empty((*b.shape, 0)) for b in base] if beside is None else beside
@@ -54,33 +54,33 @@ def effect_jacobian(
         step = STEP * scale[k] if here[k] + STEP * scale[k] <= highest[k] else -STEP * scale[k]
         there = here.copy()
         there[k] += step
-        moved = predictor.predict(with_params(predictor.robot, point, effects, there))
+        moved = predictor.predict(with_params(predictor.robot, params, effects, there))
         for column, m, b in zip(found, moved, base, strict=True):
             column[:, :, k] = (m - b) * (scale[k] / step)
     return found
 
 
-def tolerance_jacobian(predictor: Predictor, point: ModelParams) -> list[Array]:
+def tolerance_jacobian(predictor: Predictor, params: ModelParams) -> list[Array]:
     """Return the derivative of the prediction by the deviations, each (rows, C, N).
 
-    Half way to those of the point: times them it is what they change together, but for terms of third order. Deviations act on
+    Half way to those of the model: times them it is what they change together, but for terms of third order. Deviations act on
     each other: a sensor that is late is elsewhere than the motion says.
     """
-    half = np.zeros(predictor.num_tolerances) if point.deviation is None else 0.5 * point.deviation
-    base = predictor.predict(replace(point, deviation=half if half.any() else None))
+    half = np.zeros(predictor.num_tolerances) if params.deviation is None else 0.5 * params.deviation
+    base = predictor.predict(replace(params, deviation=half if half.any() else None))
     found = [column_by_column(b, predictor.num_tolerances) for b in base]
     for k in range(predictor.num_tolerances):
         deviation = half + STEP * np.eye(predictor.num_tolerances)[k]
-        moved = predictor.predict(replace(point, deviation=deviation))
+        moved = predictor.predict(replace(params, deviation=deviation))
         for column, m, b in zip(found, moved, base, strict=True):
             column[:, :, k] = (m - b) / STEP
     return found
 
 
-def tolerated(predictor: Predictor, point: ModelParams) -> Array:
+def tolerated(predictor: Predictor, params: ModelParams) -> Array:
     """Return the residual (rms) that the tolerances of the vehicle, and not those of its log, cause in each channel, (C,)."""
     vehicle = np.logical_not(of_logs(predictor.robot.num_rotors))
-    parts = [part[:, :, vehicle] for part in tolerance_jacobian(predictor, point)]
+    parts = [part[:, :, vehicle] for part in tolerance_jacobian(predictor, params)]
     return np.sqrt(np.concatenate([(part**2).sum(axis=2) for part in parts]).mean(axis=0))
 
 

@@ -63,7 +63,7 @@ class Fit:
     effects: tuple[str, ...]
     """Names, in the order of the parameters."""
 
-    point: ModelParams
+    params: ModelParams
     """Where it is linearised: the best fit, with no deviation."""
 
     moments: Moments
@@ -158,7 +158,7 @@ def solve_within(fit: Fit, product: Array, gradient: Array, free: Indices) -> Ar
 def linearise(
     predictor: Predictor,
     effects: tuple[str, ...],
-    point: ModelParams,
+    params: ModelParams,
     tolerance: list[Array],
     *,
     base: list[Array] | None = None,
@@ -169,18 +169,18 @@ def linearise(
 
     ``length`` is of a block [s]; ``offsets`` of flights are taken out of all.
     """
-    predicted = predictor.predict(point) if base is None else base
+    predicted = predictor.predict(params) if base is None else base
     residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
-    jacobians = effect_jacobian(predictor, point, effects, predicted, beside=tolerance)
+    jacobians = effect_jacobian(predictor, params, effects, predicted, beside=tolerance)
     if offsets is not None:
         residuals, jacobians = offsets.taken_out(residuals), offsets.taken_out(jacobians)
-    return fit_at(predictor, effects, point, residuals, jacobians, length=length), residuals, jacobians
+    return fit_at(predictor, effects, params, residuals, jacobians, length=length), residuals, jacobians
 
 
 def fit_at(
     predictor: Predictor,
     effects: tuple[str, ...],
-    point: ModelParams,
+    params: ModelParams,
     residuals: list[Array],
     jacobians: Sequence[Array],
     *,
@@ -191,23 +191,23 @@ def fit_at(
     ``length`` is of a block [s].
     """
     moments = block_moments(predictor.times, residuals, jacobians, length=length)
-    return fit_of_moments(predictor.robot, effects, point, moments)
+    return fit_of_moments(predictor.robot, effects, params, moments)
 
 
 def fit_of_moments(
     robot: RobotCfg,
     effects: tuple[str, ...],
-    point: ModelParams,
+    params: ModelParams,
     moments: Moments,
     frozen: Frozen = frozenset(),
 ) -> Fit:
     """Return the model at a point from the moments there, tolerances and structures behind the parameters of effects."""
-    here, scale = params_of(point, effects), scales(effects)
+    here, scale = params_of(params, effects), scales(effects)
     lowest, highest = bounds_of(robot, effects)
     farthest = np.full(moments.gradient.shape[2] - here.size, FARTHEST_DEVIATION)
     return Fit(
         effects=effects,
-        point=point,
+        params=params,
         moments=moments,
         low=np.concatenate(((lowest - here) / scale, -farthest)),
         high=np.concatenate(((highest - here) / scale, farthest)),
@@ -250,7 +250,7 @@ def fit_effects(
     Source:
         Broyden (1965), A class of methods for solving nonlinear simultaneous equations, Mathematics of Computation 19.
     """
-    point, predicted = start, predictor.predict(start)
+    params, predicted = start, predictor.predict(start)
     residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
     if derivatives is None:
         own, fresh = effect_jacobian(predictor, start, effects, predicted), True
@@ -259,7 +259,7 @@ def fit_effects(
     first, steps = (cost := misfit(beside, residuals)), 0
     off = np.inf  # log likelihood by which the last derivatives were wrong along the steps taken with them
     while True:
-        fit = fit_of_moments(predictor.robot, effects, point, beside.moments(residuals, own), frozen)
+        fit = fit_of_moments(predictor.robot, effects, params, beside.moments(residuals, own), frozen)
         if not np.isfinite(cost):
             return fit, own, np.inf
         whole, moved = best_step(fit, UNIT, fit.free_all), None
@@ -268,16 +268,16 @@ def fit_effects(
         if (fresh or steps > 1) and goal.missed(fit, more):
             return fit, own, more
         if promised >= (goal.enough if fresh else NOTHING_LEFT) and steps < MOST_STEPS:
-            step, here = whole[: fit.num_effect_params], params_of(point, effects)
+            step, here = whole[: fit.num_effect_params], params_of(params, effects)
             for share in SHARES:
                 gone = share * step
-                there = with_params(predictor.robot, point, effects, here + scales(effects) * gone)
+                there = with_params(predictor.robot, params, effects, here + scales(effects) * gone)
                 moved = [m - p for m, p in zip(predictor.measured, predictor.predict(there), strict=True)]
                 if (new_cost := misfit(beside, moved)) <= cost * (1.0 + ROUNDING):
                     wrong = abs(promised - 0.5 * (cost - new_cost)) if share == 1.0 else np.inf
                     off = wrong if fresh or steps == 0 else off + wrong
                     exact_along(own, gone, [r - m for r, m in zip(residuals, moved, strict=True)])
-                    point, residuals, cost, steps, fresh = there, moved, new_cost, steps + 1, False
+                    params, residuals, cost, steps, fresh = there, moved, new_cost, steps + 1, False
                     break
             else:
                 moved = None
@@ -286,7 +286,7 @@ def fit_effects(
                 return fit, own, more
             if off <= goal.enough and promised < NOTHING_LEFT:
                 return fit, own, (MOST_TO_PROMISE - 1.0) * (promised + off)
-            own, fresh = effect_jacobian(predictor, point, effects, predictor.predict(point)), True
+            own, fresh = effect_jacobian(predictor, params, effects, predictor.predict(params)), True
 
 
 def _more(promised: float, gained: float, *, fresh: bool) -> float:

@@ -22,9 +22,9 @@ def scales(effects: Sequence[str]) -> Array:
     return np.array([parameter.scale for name in effects for parameter in EFFECTS.get(name).parameters])
 
 
-def params_of(point: ModelParams, effects: Sequence[str]) -> Array:
+def params_of(params: ModelParams, effects: Sequence[str]) -> Array:
     """Return the parameters of some effects in a row."""
-    return np.concatenate([point.effects[name] for name in effects]) if effects else np.zeros(0)
+    return np.concatenate([params.effects[name] for name in effects]) if effects else np.zeros(0)
 
 
 def bounds_of(robot: RobotCfg, effects: Sequence[str]) -> tuple[Array, Array]:
@@ -33,11 +33,11 @@ def bounds_of(robot: RobotCfg, effects: Sequence[str]) -> tuple[Array, Array]:
     return np.array([low for low, _ in pairs]), np.array([high for _, high in pairs])
 
 
-def with_params(robot: RobotCfg, point: ModelParams, effects: Sequence[str], values: Array) -> ModelParams:
-    """Return the point with other parameters, held within their bounds."""
+def with_params(robot: RobotCfg, params: ModelParams, effects: Sequence[str], values: Array) -> ModelParams:
+    """Return the parameters with other parameters, held within their bounds."""
     clipped, start = np.clip(values, *bounds_of(robot, effects)), 0
     for name in effects:
         width = len(EFFECTS.get(name).parameters)
-        point = point.with_effect(name, clipped[start : start + width])
+        params = params.with_effect(name, clipped[start : start + width])
         start += width
-    return point
+    return params

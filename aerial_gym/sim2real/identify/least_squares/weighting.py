@@ -31,14 +31,14 @@ def weighting(
     each time weighted by what the fit before left over; with ``beyond``, by what that makes of it. ``derivatives`` are those by
     the effects at the start, (rows, C, P).
     """
-    point, own = start, [part.astype(np.float64) for part in derivatives]
-    predicted = predictor.predict(point)
+    params, own = start, [part.astype(np.float64) for part in derivatives]
+    predicted = predictor.predict(params)
     found = weights_from([m - p for m, p in zip(predictor.measured, predicted, strict=True)])
     ends = np.cumsum([0, *(part[0].shape[2] for part in linear)])[:-1]
     for _ in range(3):
         residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
         beside = Beside(predictor.times, list(zip(*linear, strict=True)), found.weight)
-        fit = fit_of_moments(predictor.robot, effects, point, beside.moments(residuals, own))
+        fit = fit_of_moments(predictor.robot, effects, params, beside.moments(residuals, own))
         step, *steps = np.split(best_step(fit, UNIT, fit.free_all), fit.num_effect_params + ends)
         left = residuals
         for part, along in zip((own, *linear), (step, *steps), strict=True):
@@ -46,8 +46,8 @@ def weighting(
         if not all(np.isfinite(part).all() for part in left):
             break  # a step too far, for a pendulum: the weights of the step before stand
         found = weights_from(left if beyond is None else beyond(left, found))
-        here = params_of(point, effects)
-        point = with_params(predictor.robot, point, effects, here + scales(effects) * step)
-        before, predicted = predicted, predictor.predict(point)
+        here = params_of(params, effects)
+        params = with_params(predictor.robot, params, effects, here + scales(effects) * step)
+        before, predicted = predicted, predictor.predict(params)
         exact_along(own, step, [p - b for p, b in zip(predicted, before, strict=True)])
     return found

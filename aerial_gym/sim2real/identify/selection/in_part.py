@@ -103,19 +103,19 @@ def _promising(
     fitter: Fitter, best: Fitted, effects: Collection[str], names: Sequence[str]
 ) -> list[tuple[str, int, str]]:
     """Return effect, place of a parameter and other effect, where the linear model may come near the set."""
-    predictor, point, window = fitter.predictor, best.params, occam_window(best)
+    predictor, params, window = fitter.predictor, best.params, occam_window(best)
     pairs = {name: _confused(fitter, best, name, names) if name in effects else [] for name in best.effects}
     others = list(dict.fromkeys(other for found in pairs.values() for other in found))
     if not others:
         return []
-    base = predictor.predict(point)
+    base = predictor.predict(params)
     residuals = [m - p for m, p in zip(predictor.measured, base, strict=True)]
-    parts = [effect_jacobian(predictor, point, best.effects, base)]
+    parts = [effect_jacobian(predictor, params, best.effects, base)]
     for other in others:
-        parts.append(effect_jacobian(predictor, point.with_effect(other, fitter.neutral(other)), (other,), base))
+        parts.append(effect_jacobian(predictor, params.with_effect(other, fitter.neutral(other)), (other,), base))
     owners = [(name, k) for name in best.effects for k in range(scales((name,)).size)]
     back = [owner for owner in owners if pairs[owner[0]] and is_number(*owner)]
-    parts.extend(_changes(fitter, point, base, *owner) for owner in back)
+    parts.extend(_changes(fitter, params, base, *owner) for owner in back)
     moments = fitter.beside(best.structures).moments(
         residuals, [np.concatenate(own, axis=2) for own in zip(*parts, strict=True)]
     )
@@ -154,11 +154,11 @@ def _confused(fitter: Fitter, best: Fitted, effect: str, names: Sequence[str]) -
     ]
 
 
-def _changes(fitter: Fitter, point: ModelParams, base: list[Array], effect: str, place: int) -> list[Array]:
+def _changes(fitter: Fitter, params: ModelParams, base: list[Array], effect: str, place: int) -> list[Array]:
     """Return what goes from the prediction when a parameter goes back to neutral, (rows, C, 1) of each flight."""
-    values = point.effects[effect].copy()
+    values = params.effects[effect].copy()
     values[place] = fitter.neutral(effect)[place]
-    there = fitter.predictor.predict(point.with_effect(effect, values))
+    there = fitter.predictor.predict(params.with_effect(effect, values))
     return [(b - t)[..., None] for b, t in zip(base, there, strict=True)]
 
 

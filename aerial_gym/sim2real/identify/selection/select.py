@@ -189,7 +189,7 @@ class _Scorer:
 
     def _fit(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen) -> Fit:
         found, _, _ = fit_effects(self.predictor, effects, start, self.beside, frozen=frozen)
-        by_channel, _, _ = linearise(self.predictor, effects, found.point, self.tolerance, offsets=self.offsets)
+        by_channel, _, _ = linearise(self.predictor, effects, found.params, self.tolerance, offsets=self.offsets)
         return replace(by_channel, frozen=frozen)
 
     def score(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen = frozenset()) -> Scored:

@@ -86,7 +86,7 @@ class Catalogue:
             train.robot, self.flights, bandwidth=train.bandwidth, channels=train.channels, tolerances=train.tolerances
         )
         self.weight = selection.weights.weight
-        final = selection.final.fit.point
+        final = selection.final.fit.params
         self._tolerance = tolerance_jacobian(self.predictor, final)
         self._spans = np.array([SPAN_S / float(time[-1] - time[0]) for time in self.predictor.times])
 
@@ -113,8 +113,8 @@ class Catalogue:
 
         Moderate is the scale of its best-seen parameter; the other effects and the tolerances are fitted beside it.
         """
-        point = starts(name, final, declared, self.predictor.robot)[0]
-        fit = self._fit(self.predictor.predict(point), point, (*effects, name))
+        params = starts(name, final, declared, self.predictor.robot)[0]
+        fit = self._fit(self.predictor.predict(params), params, (*effects, name))
         own = [k for k in fit.columns_of(name) if is_number(*fit.owners[k])]
         scores = []
         for index in range(len(self.flights)):
@@ -125,12 +125,12 @@ class Catalogue:
             scores.append(0.5 / best)
         return np.multiply(scores, self._spans)
 
-    def _fit(self, truth: list[Array], point: ModelParams, effects: tuple[str, ...]) -> Fit:
-        base = self.predictor.predict(point)
-        own = effect_jacobian(self.predictor, point, effects, base)
+    def _fit(self, truth: list[Array], params: ModelParams, effects: tuple[str, ...]) -> Fit:
+        base = self.predictor.predict(params)
+        own = effect_jacobian(self.predictor, params, effects, base)
         jacobians = [np.concatenate(pair, axis=2) for pair in zip(own, self._tolerance, strict=True)]
         residuals = [t - b for t, b in zip(truth, base, strict=True)]
-        return fit_at(self.predictor, effects, point, residuals, jacobians)
+        return fit_at(self.predictor, effects, params, residuals, jacobians)
 
     def advise(self, scores: Array, tells: tuple[str, ...]) -> Advice:
         """Return the manoeuvre with the best score."""
@@ -149,7 +149,7 @@ def what_tells(catalogue: Catalogue, selection: Selection, tied: dict[str, list[
     for name, rivals in tied.items():
         for rival in rivals:
             other = rival.fitted
-            scores.append(catalogue.tell((final.fit.point, final.effects), (other.params, other.effects)))
+            scores.append(catalogue.tell((final.fit.params, final.effects), (other.params, other.effects)))
             names += [name, rival.effect]
     return catalogue.advise(np.min(scores, axis=0), tuple(dict.fromkeys(names))) if scores else None
 
@@ -175,5 +175,5 @@ def what_shows(
 ) -> dict[str, Advice]:
     """Return the manoeuvre that shows each of some effects which the flights do not show."""
     final = selection.final
-    scores = {name: catalogue.show(name, final.fit.point, final.effects, declared) for name in hidden}
+    scores = {name: catalogue.show(name, final.fit.params, final.effects, declared) for name in hidden}
     return {name: catalogue.advise(score, (name,)) for name, score in scores.items()}

@@ -103,9 +103,9 @@ class RandomWind:
             name=NAME, params=self.params(), std=std, noise_std=std, frozen=(), confidence=float(confidence)
         )
 
-    def adds(self, predictor: Predictor, point: ModelParams) -> Array:
+    def adds(self, predictor: Predictor, params: ModelParams) -> Array:
         """Return what such a wind adds to the residual (rms) of each channel of some flights, (C,)."""
-        response = np.concatenate(wind_response(predictor, point))
+        response = np.concatenate(wind_response(predictor, params))
         inside = float(process_covariance(self.corr_time, predictor.bandwidth, np.zeros(1))[0])
         return self.std * np.sqrt(inside * np.mean((response**2).sum(axis=2), axis=0))
 
@@ -117,14 +117,14 @@ def declared_wind(robot: RobotCfg) -> RandomWind:
     return RandomWind(std=robot.effects[NAME]["std"], corr_time=robot.effects[NAME]["corr_time"])
 
 
-def with_random(point: ModelParams, wind: RandomWind) -> ModelParams:
+def with_random(params: ModelParams, wind: RandomWind) -> ModelParams:
     """Return a model as it stands in a robot file: with the random wind, if there is one."""
-    return point.with_effect(NAME, np.array(list(wind.params().values()))) if wind.accepted else point
+    return params.with_effect(NAME, np.array(list(wind.params().values()))) if wind.accepted else params
 
 
 def find_random_wind(
     predictor: Predictor,
-    point: ModelParams,
+    params: ModelParams,
     criteria: Criteria,
     *,
     floor: Array | None,
@@ -135,7 +135,7 @@ def find_random_wind(
 
     Args:
         predictor: Training flights.
-        point: Model with everything that was found, and deviations within the tolerances.
+        params: Model with everything that was found, and deviations within the tolerances.
         criteria: When what is found counts.
         floor: Noise floor (rms) of each channel, (C,); None where the logs are too slow to tell.
         tolerated: Residual (rms) that the tolerances of the vehicle cause, (C,).
@@ -146,17 +146,17 @@ def find_random_wind(
         return RandomWind(untestable="the logs are too slow to show a noise floor, above which gusts would stand")
     if len(places) != 3 or any(flight.lin_vel is None for flight in predictor.flights):
         return RandomWind(untestable="needs specific force and velocity in the logs")
-    response = [part[:, places] for part in wind_response(predictor, point)]
+    response = [part[:, places] for part in wind_response(predictor, params)]
     if np.linalg.svd(np.concatenate(response), compute_uv=False)[:, -1].min() < LEAST_RESPONSE:
         return RandomWind(untestable=f"needed: {EFFECTS.get(NAME).excitation}; this model has no drag along some axis")
     if not remaining[places].any():
         return RandomWind()
-    series = wind_series(predictor, point, response, places)
+    series = wind_series(predictor, params, response, places)
     fit = fit_process(series)
     found = RandomWind(
         std=fit.std, corr_time=fit.corr_time, spread=log_spread(series, fit), p_value=p_value_of_noise(series, fit)
     )
-    added = found.adds(predictor, point)
+    added = found.adds(predictor, params)
     share = 1.0 - floor / np.sqrt(floor**2 + added**2)
     seen = added > criteria.visible * tolerated
     objections = []
@@ -171,21 +171,21 @@ def find_random_wind(
     return replace(found, objections=tuple(objections))
 
 
-def wind_response(predictor: Predictor, point: ModelParams) -> list[Array]:
+def wind_response(predictor: Predictor, params: ModelParams) -> list[Array]:
     """Return the derivative of the predicted channels of each flight by a wind along world axes, (T, C, 3)."""
-    still = point.effects.get("constant_wind", np.zeros(3))
-    base, columns = predictor.predict(point.with_effect("constant_wind", still)), []
+    still = params.effects.get("constant_wind", np.zeros(3))
+    base, columns = predictor.predict(params.with_effect("constant_wind", still)), []
     for axis in range(3):
-        moved = predictor.predict(point.with_effect("constant_wind", still + WIND_STEP * np.eye(3)[axis]))
+        moved = predictor.predict(params.with_effect("constant_wind", still + WIND_STEP * np.eye(3)[axis]))
         columns.append([(m - b) / WIND_STEP for m, b in zip(moved, base, strict=True)])
     return [np.stack([column[flight] for column in columns], axis=2) for flight in range(len(base))]
 
 
-def wind_series(predictor: Predictor, point: ModelParams, response: Sequence[Array], places: Sequence[int]) -> Series:
+def wind_series(predictor: Predictor, params: ModelParams, response: Sequence[Array], places: Sequence[int]) -> Series:
     """Return the wind behind the residual of the specific force (channels ``places``)."""
     stride = max(1, round(1.0 / (predictor.bandwidth * float(np.median(np.diff(predictor.times[0]))))))
     rows = [np.arange(0, time.size, stride) for time in predictor.times]
-    residuals = predictor.residuals(point)
+    residuals = predictor.residuals(params)
     wind = [
         np.linalg.solve(gain[kept], left[kept][:, places, None])[:, :, 0]
         for gain, left, kept in zip(response, residuals, rows, strict=True)

@@ -66,17 +66,17 @@ def is_commanded(flights: Sequence[Flight]) -> bool:
     return all(flight.rotor_command is not None for flight in flights)
 
 
-def with_arriving_commands(off: Deviated, flights: Sequence[Flight], point: ModelParams) -> list[Flight]:
+def with_arriving_commands(off: Deviated, flights: Sequence[Flight], params: ModelParams) -> list[Flight]:
     """Return the flights with what arrives at the rotors as commands: so no window begins without those on their way."""
-    acting = [(EFFECTS.get(name), params) for name, params in point.effects.items() if acts_on_commands(name)]
-    model = build_model(off.vehicle, [(effect, torch.tensor(params).reshape(1, -1)) for effect, params in acting])
+    acting = [(EFFECTS.get(name), values) for name, values in params.effects.items() if acts_on_commands(name)]
+    model = build_model(off.vehicle, [(effect, torch.tensor(values).reshape(1, -1)) for effect, values in acting])
     shift = off.command_shift
     return [replace(flight, rotor_command=mean_commands(flight, model, shift=shift)) for flight in flights]
 
 
-def what_moves_commands(off: Deviated, point: ModelParams) -> bytes:
+def what_moves_commands(off: Deviated, params: ModelParams) -> bytes:
     """Return what tells a model from others that do something else to commands."""
-    acting = [params.tobytes() for name, params in point.effects.items() if acts_on_commands(name)]
+    acting = [values.tobytes() for name, values in params.effects.items() if acts_on_commands(name)]
     seen = off.vehicle.battery.numpy().tobytes() if acting else b""
     return b"".join((np.float64(off.command_shift).tobytes(), seen, *acting))
 

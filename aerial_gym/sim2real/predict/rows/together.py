@@ -125,9 +125,9 @@ class Together:
         self._hung: _Hanging | None = None
         self._params, self._in_step = declared_params(robot), None
 
-    def predict(self, point: ModelParams) -> list[Columns]:
+    def predict(self, params: ModelParams) -> list[Columns]:
         """Return the predicted channels of each flight; not to be written to."""
-        asked = self._asked(point)
+        asked = self._asked(params)
         kinds = dict.fromkeys(channel.kind for channel in self.data.channels)
         rows = self._rows(asked) if kinds.keys() - {"rotor_speed"} else {}
         columns = [column for kind in kinds if kind in rows for column in rows[kind]]
@@ -140,16 +140,16 @@ class Together:
                 own[place:place] = later(turning, time, late)
         return found
 
-    def felt(self, point: ModelParams) -> list[Array]:
+    def felt(self, params: ModelParams) -> list[Array]:
         """Return the inputs of a learned residual at the rows of each flight, in the band, (rows kept, 7) each."""
-        asked = self._asked(point)
+        asked = self._asked(params)
         condition = self._condition(self._flown(asked), asked)
         rows = felt_inputs(condition.air_velocity, condition.ang_vel, condition.rotor_speed).numpy()
         return [self.data.slow(index, rows[span]) for index, span in enumerate(self.data.spans)]
 
-    def links(self, point: ModelParams) -> list[Link]:
+    def links(self, params: ModelParams) -> list[Link]:
         """Return how the load swings along each flight."""
-        asked = self._asked(point)
+        asked = self._asked(params)
         model = self._flown(asked)
         hanging = self._hanging(model, self._condition(model, asked), self._remembered(model, asked), asked)
         load = self._load_replay.loads(model, hanging.missed).numpy()
@@ -157,13 +157,13 @@ class Together:
             Link(time=time, load=load[span]) for time, span in zip(self.data.row_times, self.data.spans, strict=True)
         ]
 
-    def _asked(self, point: ModelParams) -> _Asked:
+    def _asked(self, params: ModelParams) -> _Asked:
         """Return the model of one environment, with what stands around it in every row, and where commands lead its rotors."""
         vehicle, deviation = self._declared, self._nothing
-        if point.deviation is not None:
-            deviation = torch.from_numpy(point.deviation)
+        if params.deviation is not None:
+            deviation = torch.from_numpy(params.deviation)
             vehicle = deviate(vehicle, self.tolerances, deviation)
-        model = build_model(vehicle, effects_at(point, 1), **self.data.heights, other_position=self.data.other)
+        model = build_model(vehicle, effects_at(params, 1), **self.data.heights, other_position=self.data.other)
         speeds = None
         if self.data.simulated or any(channel.kind == "rotor_speed" for channel in self.data.channels):
             sensors = () if self.data.simulated else model.effects[RotorSensorEffect]

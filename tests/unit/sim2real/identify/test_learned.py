@@ -58,9 +58,9 @@ def left_out_of(predictor: Predictor) -> LeftOut:
 def learn(folder: Path, cubic: float) -> tuple[Learned, list[Flight]]:
     train, test = flown(folder, cubic)
     fit, held = load_train_and_test(ROBOT, train, [test], None, 10.0)
-    predictor, point = predictor_of(fit), declared_params(ROBOT)
-    learned = train_residual(predictor, point, left_out_of(predictor))
-    return judge_on_test(learned, predictor_of(held), point, None), held
+    predictor, params = predictor_of(fit), declared_params(ROBOT)
+    learned = train_residual(predictor, params, left_out_of(predictor))
+    return judge_on_test(learned, predictor_of(held), params, None), held
 
 
 @pytest.fixture(scope="module")
@@ -77,8 +77,8 @@ def test_a_drag_without_a_name_is_learned_and_holds_on_another_flight(cubic: tup
     assert learned.cfg is not None
     assert learned.cfg.limit[3:] == (0.0, 0.0, 0.0)
     assert 0 <= learned.rows_outside < 0.1 * learned.rows
-    point, with_it = declared_params(ROBOT), replace(declared_params(ROBOT), learned=learned.effect)
-    errors = [roll_out(ROBOT, held, p, horizons=(0.1, 0.5), given_attitude=True).velocity for p in (point, with_it)]
+    params, with_it = declared_params(ROBOT), replace(declared_params(ROBOT), learned=learned.effect)
+    errors = [roll_out(ROBOT, held, p, horizons=(0.1, 0.5), given_attitude=True).velocity for p in (params, with_it)]
     rms = [np.sqrt(np.mean(np.square(e), axis=0)) for e in errors if e is not None]
     assert (rms[1] < 0.5 * rms[0]).all()
 

@@ -68,7 +68,7 @@ def test_rollouts_decide_where_accelerometers_are_noisy(tmp_path) -> None:
     assert found.adopted, found.objections
     assert found.velocity > 0.05
     assert found.scored is not None
-    assert found.scored.fit.point.effects["rotor_drag"][0] == pytest.approx(DRAG, rel=0.01)
+    assert found.scored.fit.params.effects["rotor_drag"][0] == pytest.approx(DRAG, rel=0.01)
 
 
 @pytest.mark.slow
@@ -144,8 +144,8 @@ def test_what_is_left_when_starts_are_eliminated_is_the_least_of_the_whole_probl
 )
 def test_why_nothing_is_fitted_on_rollouts(names: tuple[str, ...], change: dict, said: str) -> None:
     flights = [SimpleNamespace(**({"lin_vel": np.zeros((3, 3)), "attitude_integrated": False} | change))]
-    point = ModelParams(effects={name: np.zeros(1) for name in names})
-    final = SimpleNamespace(effects=names, fit=SimpleNamespace(point=point))
+    params = ModelParams(effects={name: np.zeros(1) for name in names})
+    final = SimpleNamespace(effects=names, fit=SimpleNamespace(params=params))
     selection = SimpleNamespace(accepted=names, final=final)
     found = impossible(SimpleNamespace(flights=flights), selection)  # type: ignore[arg-type]
     assert found.startswith(said) if said else found == ""

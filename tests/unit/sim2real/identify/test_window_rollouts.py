@@ -24,7 +24,7 @@ def test_models_whose_sensors_alone_differ_are_flown_once(tmp_path, monkeypatch:
     flights = load_flights(paths, ROBOT, mapping=None, bandwidth=10.0)
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
     drag = np.array([0.1, 0.1, 0.0])
-    point = declared_params(ROBOT).with_effect("rotor_drag", drag)
+    params = declared_params(ROBOT).with_effect("rotor_drag", drag)
     windows = find_windows(predictor.flights, 1.0, every=1.0, most=8)
     flown: list[int] = []
 
@@ -34,10 +34,10 @@ def test_models_whose_sensors_alone_differ_are_flown_once(tmp_path, monkeypatch:
 
     monkeypatch.setattr(window_rollouts, "Batch", spied)
     with one_thread():
-        once = Rollouts(predictor, windows).linearise(("rotor_drag",), point, frozenset())
+        once = Rollouts(predictor, windows).linearise(("rotor_drag",), params, frozenset())
         numbers = count()
-        monkeypatch.setattr(window_rollouts, "_moves_alike", lambda off, point: (next(numbers),))
-        every = Rollouts(predictor, windows).linearise(("rotor_drag",), point, frozenset())
+        monkeypatch.setattr(window_rollouts, "_moves_alike", lambda off, params: (next(numbers),))
+        every = Rollouts(predictor, windows).linearise(("rotor_drag",), params, frozenset())
     assert flown[1] == 1 + 3 + predictor.num_tolerances
     assert flown[0] < 0.6 * flown[1]
     np.testing.assert_array_equal(once.fit.moments.product, every.fit.moments.product)

@@ -138,9 +138,9 @@ def test_a_parameter_is_no_surer_on_test_flights_than_its_interval(tmp_path) -> 
     flown = complete_flight(uniform_log(read_flight_log(write(table, tmp_path / "one.csv"))))
     channels = find_channels([flown])
     predictor = Predictor(ROBOT, [flown], bandwidth=10.0, channels=channels, tolerances=Tolerances(acc_bias=1e-6))
-    point = ModelParams(effects={"rotor_drag": np.full(3, 0.2)})
-    fit, _, _ = linearise(predictor, ("rotor_drag",), point, tolerance_jacobian(predictor, point))
-    weights = weights_from(predictor.residuals(point))
+    params = ModelParams(effects={"rotor_drag": np.full(3, 0.2)})
+    fit, _, _ = linearise(predictor, ("rotor_drag",), params, tolerance_jacobian(predictor, params))
+    weights = weights_from(predictor.residuals(params))
 
     def limit(std: float) -> np.ndarray:
         spread = SimpleNamespace(columns=np.array([0]), std=np.array([std]))
@@ -150,7 +150,7 @@ def test_a_parameter_is_no_surer_on_test_flights_than_its_interval(tmp_path) -> 
             criteria=Criteria(),
             own_offsets=no_offsets(weights.weight),
         )
-        within, whole = left_open(predictor, point, selection)  # type: ignore[arg-type]
+        within, whole = left_open(predictor, params, selection)  # type: ignore[arg-type]
         np.testing.assert_allclose(within, whole, rtol=1e-9)
         return within
 

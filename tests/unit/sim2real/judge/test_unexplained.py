@@ -13,7 +13,7 @@ def linear_fit(residual: np.ndarray, jacobian: np.ndarray, *, num_effect_params:
     rows, width = residual.shape[0], jacobian.shape[2]
     return Fit(
         effects=("rotor_drag",),
-        point=ModelParams(effects={"rotor_drag": np.full(3, 0.2)}),
+        params=ModelParams(effects={"rotor_drag": np.full(3, 0.2)}),
         moments=block_moments([np.linspace(0.0, 10.0, rows)], [residual], [jacobian], length=1.0),
         low=np.full(width, -9.0),
         high=np.full(width, 9.0),

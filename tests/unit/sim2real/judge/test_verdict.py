@@ -140,7 +140,7 @@ def test_an_effect_is_as_sure_as_the_sets_that_hold_it_are_probable(behind: floa
     times, best = [np.arange(240) / 30.0] * 3, fitted("rotor_drag")
     fit = Fit(
         effects=("rotor_drag",),
-        point=best.params,
+        params=best.params,
         moments=block_moments(times, list(rng.normal(size=(3, 240, 1))), list(rng.normal(size=(3, 240, 1, 3)))),
         low=np.full(3, -np.inf),
         high=np.full(3, np.inf),

@@ -43,10 +43,10 @@ def load(folder: Path, **options: float) -> Flight:
     return complete_flight(uniform_log(read_flight_log(path)))
 
 
-def residual(found: Flight, point: ModelParams, **options: bool) -> np.ndarray:
+def residual(found: Flight, params: ModelParams, **options: bool) -> np.ndarray:
     channels = find_channels([found])
     predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=channels, tolerances=Tolerances(), **options)
-    return predictor.residuals(point)[0]
+    return predictor.residuals(params)[0]
 
 
 def test_an_exact_flight_is_predicted_exactly(tmp_path: Path) -> None:
@@ -59,8 +59,8 @@ def test_an_exact_flight_is_predicted_exactly(tmp_path: Path) -> None:
 
 def test_drag_that_was_flown_is_predicted_by_the_effect_and_by_nothing_else(tmp_path: Path) -> None:
     found = load(tmp_path, drag=0.25)
-    point = declared_params(ROBOT)
-    without, withdrag = residual(found, point), residual(found, point.with_effect("rotor_drag", np.full(3, 0.25)))
+    params = declared_params(ROBOT)
+    without, withdrag = residual(found, params), residual(found, params.with_effect("rotor_drag", np.full(3, 0.25)))
     assert np.sqrt((without[:, :2] ** 2).mean()) > 0.2
     assert np.abs(withdrag[:, :3]).max() < 0.02
 
@@ -70,16 +70,16 @@ def test_a_known_wind_is_flown_through_in_residuals_and_rollouts(tmp_path: Path)
     wind, drag = np.array([-3.2, 2.4, 0.0]), 0.15
     blind = load(tmp_path, drag=drag, wind=tuple(wind))
     told = replace(blind, wind=tuple(wind))
-    point = declared_params(ROBOT).with_effect("rotor_drag", np.full(3, drag))
-    assert np.abs(residual(told, point)[:, :3]).max() < 0.02
+    params = declared_params(ROBOT).with_effect("rotor_drag", np.full(3, drag))
+    assert np.abs(residual(told, params)[:, :3]).max() < 0.02
     push = drag * np.linalg.norm(wind) / ROBOT.body.mass
-    left = np.linalg.norm(residual(blind, point)[:, :3], axis=1)
+    left = np.linalg.norm(residual(blind, params)[:, :3], axis=1)
     np.testing.assert_allclose(left, push, atol=0.03)
     still = load(tmp_path)  # the wind of one flight is not that of another
     channels = find_channels([still, told])
     both = Predictor(ROBOT, [still, told], bandwidth=BAND, channels=channels, tolerances=Tolerances())
-    np.testing.assert_allclose(both.residuals(point)[1], residual(told, point), atol=1e-9)
-    known, unknown = (roll_out(ROBOT, [f], point, horizons=(1.0,), given_attitude=True) for f in (told, blind))
+    np.testing.assert_allclose(both.residuals(params)[1], residual(told, params), atol=1e-9)
+    known, unknown = (roll_out(ROBOT, [f], params, horizons=(1.0,), given_attitude=True) for f in (told, blind))
     assert known.position is not None
     assert unknown.position is not None
     assert known.position.max() < 0.02
@@ -183,8 +183,8 @@ def test_the_jacobian_of_a_wrench_effect_is_its_regressor(tmp_path: Path) -> Non
     """d f / d (drag) = -v_body / m per unit, at any drag; scale 0.1 N s/m."""
     found = load(tmp_path)
     predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
-    point = ModelParams(effects={"rotor_drag": np.full(3, 0.2)})
-    jacobian = effect_jacobian(predictor, point, ("rotor_drag",), predictor.predict(point))[0]
+    params = ModelParams(effects={"rotor_drag": np.full(3, 0.2)})
+    jacobian = effect_jacobian(predictor, params, ("rotor_drag",), predictor.predict(params))[0]
     zero = predictor.predict(ModelParams())[0]
     one = predictor.predict(ModelParams(effects={"rotor_drag": np.array([0.1, 0.0, 0.0])}))[0]
     np.testing.assert_allclose(jacobian[:, :, 0], one - zero, atol=1e-8)
@@ -212,7 +212,7 @@ def test_a_prediction_does_not_depend_on_the_models_predicted_before(tmp_path: P
     def new() -> Predictor:
         return Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
 
-    alone = {name: new().predict(point)[0] for name, point in MODELS.items()}
+    alone = {name: new().predict(params)[0] for name, params in MODELS.items()}
     distinct = {values.tobytes() for values in alone.values()}
     assert len(distinct) == len(MODELS)
     same, order = new(), np.random.default_rng(0).integers(0, len(MODELS), 60)
@@ -234,8 +234,8 @@ def test_flights_are_predicted_alike_alone_and_together(tmp_path: Path, monkeypa
     for most in (1, 10**6):
         monkeypatch.setattr("aerial_gym.sim2real.predict.rows.batches.MOST_ROWS", most)
         predictors.append(Predictor(ROBOT, flights, bandwidth=BAND, channels=channels, tolerances=Tolerances()))
-    for name, point in MODELS.items():
-        for alone, beside in zip(*(predictor.predict(point) for predictor in predictors), strict=True):
+    for name, params in MODELS.items():
+        for alone, beside in zip(*(predictor.predict(params) for predictor in predictors), strict=True):
             np.testing.assert_allclose(alone, beside, rtol=1e-9, atol=1e-10, err_msg=name)
     for alone, beside in zip(*(predictor.times for predictor in predictors), strict=True):
         np.testing.assert_array_equal(alone, beside)
@@ -246,9 +246,9 @@ def test_an_error_of_the_sensors_that_is_none_changes_no_channel(tmp_path: Path)
     found = load(tmp_path)
     predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
     for deviation in (None, np.linspace(-1.0, 1.0, predictor.num_tolerances)):
-        point = ModelParams(deviation=deviation)
+        params = ModelParams(deviation=deviation)
         without, neutral = (
-            predictor.predict(p)[0] for p in (point, point.with_effect("imu_misalignment", np.zeros(3)))
+            predictor.predict(p)[0] for p in (params, params.with_effect("imu_misalignment", np.zeros(3)))
         )
         np.testing.assert_allclose(without, neutral, atol=1e-10)
 
@@ -292,10 +292,10 @@ def test_rollouts_of_slow_logs_are_integrated_finely_enough(tmp_path: Path, monk
 
 def test_rollouts_side_by_side_are_those_of_each_variant_alone(tmp_path: Path) -> None:
     """Free and with the measured attitude, bit for bit; the second one differs from the first."""
-    found, point = load(tmp_path), ModelParams(effects={"com_offset": np.array([0.01, 0.0, 0.0])})
-    both = roll_out_variants(ROBOT, [found], point, {"free": False, "given": True}, horizons=(0.1, 0.5))
+    found, params = load(tmp_path), ModelParams(effects={"com_offset": np.array([0.01, 0.0, 0.0])})
+    both = roll_out_variants(ROBOT, [found], params, {"free": False, "given": True}, horizons=(0.1, 0.5))
     for variant, given in (("free", False), ("given", True)):
-        alone = roll_out(ROBOT, [found], point, horizons=(0.1, 0.5), given_attitude=given)
+        alone = roll_out(ROBOT, [found], params, horizons=(0.1, 0.5), given_attitude=given)
         np.testing.assert_array_equal(both[variant].position, alone.position)
         np.testing.assert_array_equal(both[variant].velocity, alone.velocity)
     assert both["given"].attitude is None
@@ -462,14 +462,14 @@ def test_a_sensor_that_is_late_within_its_tolerance_is_put_back(what: str, accel
     table = flight(3, drag=0.6, wind=(2.0, -1.0, 0.5))
     if not accelerometer:
         table = table.drop(columns=["acc_x", "acc_y", "acc_z"])
-    point = ModelParams(effects={"rotor_drag": np.full(3, 0.6), "constant_wind": np.array([2.0, -1.0, 0.5])})
+    params = ModelParams(effects={"rotor_drag": np.full(3, 0.6), "constant_wind": np.array([2.0, -1.0, 0.5])})
     logs = [table, delayed(table, what, 0.006)]
     on_time, late = (
         complete_flight(uniform_log(read_flight_log(write(log, tmp_path / f"{number}.csv"))))
         for number, log in enumerate(logs)
     )
-    as_was, moved = residual(on_time, point), residual(late, point)
-    back = residual(late, replace(point, deviation=deviating(**{f"sensor_delay_{what}": 2.0})))
+    as_was, moved = residual(on_time, params), residual(late, params)
+    back = residual(late, replace(params, deviation=deviating(**{f"sensor_delay_{what}": 2.0})))
     left = np.sqrt(np.mean((back - as_was) ** 2, axis=0))
     off = np.sqrt(np.mean((moved - as_was) ** 2, axis=0))
     assert off.max() > 0.01 or (what == "acc" and not accelerometer)
@@ -511,12 +511,12 @@ def test_noise_of_what_kinematics_imply_is_no_scale_of_the_accelerometer(tmp_pat
         table = flight(seed, noise=1.0, drag=0.2)
         table[["v_x", "v_y", "v_z"]] += 0.02 * rng.standard_normal((len(table), 3))
         flights.append(complete_flight(uniform_log(read_flight_log(write(table, tmp_path / f"{seed}.csv")))))
-    point = ModelParams(effects={"rotor_drag": np.full(3, 0.2)})
+    params = ModelParams(effects={"rotor_drag": np.full(3, 0.2)})
     sizes = Tolerances(acc_scale=0.1)
     predictor = Predictor(ROBOT, flights, bandwidth=BAND, channels=find_channels(flights), tolerances=sizes)
-    fit, _, _ = linearise(predictor, (), point, tolerance_jacobian(predictor, point))
+    fit, _, _ = linearise(predictor, (), params, tolerance_jacobian(predictor, params))
     kinematic = np.array([channel.kind == "kinematic_force" for channel in predictor.channels])
-    weight = weights_from(predictor.residuals(point)).weight * kinematic
+    weight = weights_from(predictor.residuals(params)).weight * kinematic
     product, gradient = normal_equations(fit, weight)
     covariance = np.linalg.inv(product + np.eye(len(gradient)))
     place = [sizes.names(4).index(f"acc_scale_{axis}") for axis in "xyz"]
@@ -554,9 +554,9 @@ def test_an_attitude_that_is_off_turns_the_airspeed_and_what_hangs(
 ) -> None:
     """What the body feels of a drag, of a wind, of a load is what it feels with the attitude as it was; not without."""
     aligned, off = turned_log(flight(3, drag=0.2), Rotation.from_euler("xyz", [0.0, 0.02, -0.01]), tmp_path)
-    point, back = ModelParams(effects=params), ModelParams(effects=params, deviation=two_and_one())
+    params, back = ModelParams(effects=params), ModelParams(effects=params, deviation=two_and_one())
     felt = [channel.kind in ("specific_force", "angular_acceleration") for channel in find_channels([aligned])]
-    as_was, without, found = (residual(*case)[:, felt] for case in ((aligned, point), (off, point), (off, back)))
+    as_was, without, found = (residual(*case)[:, felt] for case in ((aligned, params), (off, params), (off, back)))
     assert np.abs(without - as_was).max() > 0.01
     np.testing.assert_allclose(found, as_was, atol=1e-6 + 0.02 * np.abs(without - as_was).max())
 
@@ -571,9 +571,9 @@ def test_derivatives_half_way_know_how_deviations_act_on_each_other(tmp_path: Pa
     names = predictor.tolerances.names(4)
     deviation = np.zeros(len(names))
     deviation[[names.index("sensor_delay_gyro"), names.index("imu_place_z")]] = -3.0, 2.0
-    point = ModelParams(deviation=deviation)
-    change = (predictor.predict(point)[0] - predictor.predict(ModelParams())[0])[:, :2]
-    at_once, half_way = ((tolerance_jacobian(predictor, one)[0] @ deviation)[:, :2] for one in (ModelParams(), point))
+    params = ModelParams(deviation=deviation)
+    change = (predictor.predict(params)[0] - predictor.predict(ModelParams())[0])[:, :2]
+    at_once, half_way = ((tolerance_jacobian(predictor, one)[0] @ deviation)[:, :2] for one in (ModelParams(), params))
     assert np.abs(at_once - change).max() > 0.03 * np.abs(change).max()
     np.testing.assert_allclose(half_way, change, rtol=0.0, atol=1e-3 * np.abs(change).max())
 
@@ -697,8 +697,8 @@ def test_forces_derived_from_the_velocity_have_no_errors_of_an_accelerometer(tmp
     bias, tilt = np.array([0.5, -0.3, 0.2, 0.0, 0.0, 0.0]), np.array([0.05, -0.03, 0.0])
     off = np.array([5.0 * name.startswith("acc_bias") for name in names])
     left = residual(found, ModelParams())
-    for point in (ModelParams(effects={"imu_bias": bias}), ModelParams(deviation=off)):
-        np.testing.assert_array_equal(residual(found, point), left)
+    for params in (ModelParams(effects={"imu_bias": bias}), ModelParams(deviation=off)):
+        np.testing.assert_array_equal(residual(found, params), left)
     moved = residual(found, ModelParams(effects={"imu_misalignment": tilt})) - left
     channels = find_channels([found])
     for place, channel in enumerate(channels):
@@ -721,17 +721,17 @@ def test_a_prediction_does_not_depend_on_those_before_it(tmp_path: Path) -> None
 
     names = [n for n in EFFECTS if not EFFECTS.get(n).random and EFFECTS.get(n).kind is not LoadEffect]
     names = [n for n in names if not lacks(n, robot, [found])]
-    point = declared_params(robot)
+    params = declared_params(robot)
     for name in names:
         scale = np.array([p.scale if p.kind == "number" else 0.0 for p in EFFECTS.get(name).parameters])
         low, high = np.array(EFFECTS.get(name).bounds(robot)).T
-        point = point.with_effect(name, np.clip(np.array(EFFECTS.get(name).neutral(robot)) + 0.2 * scale, low, high))
-    asked, points = fresh(), [point]
+        params = params.with_effect(name, np.clip(np.array(EFFECTS.get(name).neutral(robot)) + 0.2 * scale, low, high))
+    asked, points = fresh(), [params]
     for name in names:
         scale = np.array([p.scale if p.kind == "number" else 0.0 for p in EFFECTS.get(name).parameters])
-        points += [point.with_effect(name, point.effects[name] + 0.05 * row) for row in np.diag(scale) if row.any()]
-    points += [replace(point, deviation=row) for row in 0.5 * np.eye(asked.num_tolerances)]
-    for there in (*points, point):
+        points += [params.with_effect(name, params.effects[name] + 0.05 * row) for row in np.diag(scale) if row.any()]
+    points += [replace(params, deviation=row) for row in 0.5 * np.eye(asked.num_tolerances)]
+    for there in (*points, params):
         np.testing.assert_allclose(asked.predict(there)[0], fresh().predict(there)[0], rtol=0, atol=1e-9)
 
 
@@ -746,18 +746,18 @@ def test_an_effect_that_leaves_the_vehicle_as_it_is_asks_for_no_new_prediction(
 
     monkeypatch.setattr("aerial_gym.sim2real.predict.rows.together.acting_in", counted)
     predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
-    point = declared_params(ROBOT)
+    params = declared_params(ROBOT)
     alike = [
-        point,
-        point.with_effect("inertia_error", np.ones(3)),
-        point.with_effect("motor_tilt", np.array([2.0, 0.0, 0.0])),
+        params,
+        params.with_effect("inertia_error", np.ones(3)),
+        params.with_effect("motor_tilt", np.array([2.0, 0.0, 0.0])),
     ]
     first, *others = (predictor.predict(one)[0] for one in alike)
     assert len(asked) == 1
     for other in others:
         np.testing.assert_array_equal(other, first)
-    predictor.predict(point.with_effect("inertia_error", np.array([1.0, 1.0, 1.01])))
-    predictor.predict(replace(point, deviation=np.eye(predictor.num_tolerances)[0]))
+    predictor.predict(params.with_effect("inertia_error", np.array([1.0, 1.0, 1.01])))
+    predictor.predict(replace(params, deviation=np.eye(predictor.num_tolerances)[0]))
     assert len(asked) == 3
 
 

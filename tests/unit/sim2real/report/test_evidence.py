@@ -35,7 +35,7 @@ def test_the_line_is_that_of_all_points_and_each_channel_says_what_it_asks_for(l
     nothing = [np.zeros((*measured.shape, 0)) for measured in train.measured]
     start = ModelParams(effects={EFFECT: np.ones(1)})
     beside = Beside(train.times, [[part] for part in nothing], weight)
-    params = fit_effects(train, (EFFECT,), start, beside)[0].point
+    params = fit_effects(train, (EFFECT,), start, beside)[0].params
     (clue,) = clues(train, params, EFFECT, np.ones(1), weight)
     adds, beyond = (np.concatenate([getattr(c, name) for c in clue.clouds]) for name in ("adds", "beyond"))
     slope = (clue.fitted - clue.neutral) / clue.scale

@@ -25,9 +25,9 @@ def predictor(**predicts: object) -> SimpleNamespace:
     return SimpleNamespace(robot=ROBOT, num_tolerances=NUM_TOLERANCES, **predicts)
 
 
-def of_deviations(point: ModelParams) -> list[np.ndarray]:
+def of_deviations(params: ModelParams) -> list[np.ndarray]:
     """Return two channels that follow the product of the first two deviations, and the third: (rows, 2)."""
-    d = np.zeros(NUM_TOLERANCES) if point.deviation is None else point.deviation
+    d = np.zeros(NUM_TOLERANCES) if params.deviation is None else params.deviation
     return [np.outer(ROWS, (d[0] * d[1] + d[0], d[2]))]
 
 
@@ -35,9 +35,9 @@ def test_derivatives_half_way_to_deviations_say_what_they_do_together() -> None:
     """Of a product the derivatives at no deviation say nothing, and those at the deviations twice as much."""
     deviation = np.zeros(NUM_TOLERANCES)
     deviation[:3] = 0.8, -1.5, 2.0
-    point = ModelParams(effects={}, deviation=deviation)
-    (columns,) = tolerance_jacobian(predictor(predict=of_deviations), point)  # type: ignore[arg-type]
-    together = of_deviations(point)[0]
+    params = ModelParams(effects={}, deviation=deviation)
+    (columns,) = tolerance_jacobian(predictor(predict=of_deviations), params)  # type: ignore[arg-type]
+    together = of_deviations(params)[0]
     np.testing.assert_allclose(columns @ deviation, together, atol=1e-9)
     (nowhere,) = tolerance_jacobian(predictor(predict=of_deviations), ModelParams(effects={}))  # type: ignore[arg-type]
     np.testing.assert_allclose(nowhere @ deviation, np.outer(ROWS, (0.8, 2.0)), atol=1e-9)
@@ -47,8 +47,8 @@ def test_what_is_tolerated_is_what_the_vehicle_may_be_off_by_and_not_its_log() -
     """Each deviation of the vehicle moves its channel by one, each of the log by a hundred."""
     sizes = np.where(of_logs(4), 100.0, 1.0)
 
-    def predict(point: ModelParams) -> list[np.ndarray]:
-        d = np.zeros(NUM_TOLERANCES) if point.deviation is None else point.deviation
+    def predict(params: ModelParams) -> list[np.ndarray]:
+        d = np.zeros(NUM_TOLERANCES) if params.deviation is None else params.deviation
         return [np.full((5, 1), float(sizes @ d))]
 
     found = tolerated(predictor(predict=predict), ModelParams(effects={}))  # type: ignore[arg-type]
@@ -59,15 +59,15 @@ def test_derivatives_by_parameters_are_per_scale_within_bounds_and_of_numbers_al
     """At the upper bound the difference is taken downwards; the number of a motor has none; others stand behind."""
     asked: list[float] = []
 
-    def predict(point: ModelParams) -> list[np.ndarray]:
-        _, scale = point.effects["weak_motor"]
+    def predict(params: ModelParams) -> list[np.ndarray]:
+        _, scale = params.effects["weak_motor"]
         asked.append(scale)
         return [np.outer(ROWS, (scale**2, 1.0))]
 
     (_, top), scale = bounds_of(ROBOT, ("weak_motor",))[1], scales(("weak_motor",))[1]
-    point = ModelParams(effects={"weak_motor": np.array([2.0, top])})  # the number of the motor, and its scale
+    params = ModelParams(effects={"weak_motor": np.array([2.0, top])})  # the number of the motor, and its scale
     beside = [np.full((3, 2, 1), 7.0)]
-    (found,) = effect_jacobian(predictor(predict=predict), point, ("weak_motor",), predict(point), beside=beside)  # type: ignore[arg-type]
+    (found,) = effect_jacobian(predictor(predict=predict), params, ("weak_motor",), predict(params), beside=beside)  # type: ignore[arg-type]
     assert found.shape == (3, 2, 3)
     assert asked == [top, pytest.approx(top - 1e-3 * scale)]
     np.testing.assert_array_equal(found[:, :, 0], 0.0)

@@ -40,7 +40,7 @@ def linear_fit(
     size = NUM_PARAMS + NUM_TOLERANCES
     return Fit(
         effects=(EFFECT,),
-        point=ModelParams(effects={EFFECT: np.zeros(NUM_PARAMS)}),
+        params=ModelParams(effects={EFFECT: np.zeros(NUM_PARAMS)}),
         moments=block_moments(times, residuals, jacobians),
         low=np.concatenate((np.full(NUM_PARAMS, low), np.full(NUM_TOLERANCES, -3.0))),
         high=np.full(size, np.inf),
@@ -163,8 +163,8 @@ def test_a_fit_that_would_overshoot_arrives() -> None:
     rng = np.random.default_rng(2)
     excitation, truth = 1.0 + 0.1 * rng.standard_normal((40, 1)), 3.0
 
-    def predict(point: ModelParams) -> list[np.ndarray]:
-        return [np.arctan(excitation * point.effects["constant_wind"][0])]
+    def predict(params: ModelParams) -> list[np.ndarray]:
+        return [np.arctan(excitation * params.effects["constant_wind"][0])]
 
     predictor = SimpleNamespace(
         robot=ROBOTS.get("tinyprop"),
@@ -179,7 +179,7 @@ def test_a_fit_that_would_overshoot_arrives() -> None:
             ModelParams(effects={"constant_wind": np.array([start, 0.0, 0.0])}),
             Beside(predictor.times, [[np.zeros((40, 1, 0))]], np.full(1, 1e6)),
         )
-        assert fit.point.effects["constant_wind"][0] == pytest.approx(truth, rel=0.01)
+        assert fit.params.effects["constant_wind"][0] == pytest.approx(truth, rel=0.01)
 
 
 def test_a_fit_with_derivatives_at_hand_arrives_where_others_do() -> None:
@@ -188,9 +188,9 @@ def test_a_fit_with_derivatives_at_hand_arrives_where_others_do() -> None:
     excitation, truth = rng.standard_normal((200, 3)), np.array([0.5, -0.3, 0.2])
     calls = []
 
-    def predict(point: ModelParams) -> list[np.ndarray]:
-        calls.append(point)
-        return [np.exp(0.5 * excitation @ point.effects["constant_wind"])[:, None]]
+    def predict(params: ModelParams) -> list[np.ndarray]:
+        calls.append(params)
+        return [np.exp(0.5 * excitation @ params.effects["constant_wind"])[:, None]]
 
     there = ModelParams(effects={"constant_wind": truth})
     measured = [predict(there)[0] + 1e-4 * rng.standard_normal((200, 1))]
@@ -199,7 +199,7 @@ def test_a_fit_with_derivatives_at_hand_arrives_where_others_do() -> None:
         times=[np.arange(200) / 30.0],
         measured=measured,
         predict=predict,
-        residuals=lambda point: [measured[0] - predict(point)[0]],
+        residuals=lambda params: [measured[0] - predict(params)[0]],
     )
     start = ModelParams(effects={"constant_wind": np.zeros(3)})
     found, costs = [], []
@@ -212,7 +212,7 @@ def test_a_fit_with_derivatives_at_hand_arrives_where_others_do() -> None:
             Beside(predictor.times, [[np.zeros((200, 1, 0))]], np.full(1, 1e8)),
             derivatives=None if wrong is None else [0.5 * (excitation * wrong)[:, None, :]],
         )
-        found.append(fit.point.effects["constant_wind"])
+        found.append(fit.params.effects["constant_wind"])
         costs.append(len(calls))
     np.testing.assert_allclose(found, [truth] * 3, atol=1e-4)
     assert costs[1] < costs[0]
@@ -228,9 +228,9 @@ class Exponential:
         truth = ModelParams(effects={"constant_wind": np.array([0.5, -0.3, 0.2])})
         self.measured = [self.predict(truth)[0] + remainder * rng.standard_normal((200, 1))]
 
-    def predict(self, point: ModelParams) -> list[np.ndarray]:
+    def predict(self, params: ModelParams) -> list[np.ndarray]:
         self.calls += 1
-        return [np.exp(0.5 * self.excitation @ point.effects["constant_wind"])[:, None]]
+        return [np.exp(0.5 * self.excitation @ params.effects["constant_wind"])[:, None]]
 
 
 def worth(fit: Fit) -> float:
@@ -246,7 +246,7 @@ def fitted_exponential(goal: Goal) -> tuple[Fit, float, float, int]:
     beside, before = Beside(predictor.times, [[np.zeros((200, 1, 0))]], np.full(1, 1e3)), predictor.calls
     fit, _, more = fit_effects(predictor, ("constant_wind",), start, beside, goal=goal)  # type: ignore[arg-type]
     count = predictor.calls - before
-    left = [m - p for m, p in zip(predictor.measured, predictor.predict(fit.point), strict=True)]
+    left = [m - p for m, p in zip(predictor.measured, predictor.predict(fit.params), strict=True)]
     return fit, -0.5 * misfit(beside, left), more, count
 
 
@@ -291,8 +291,8 @@ def test_a_fit_whose_derivatives_are_not_finite_goes_nowhere(derivatives: list[n
     """A pendulum that goes over the top right beside the start: its prediction is finite, its derivative is not."""
     edge = ModelParams(effects={"constant_wind": np.array([1.0, 0.0, 0.0])})
 
-    def predict(point: ModelParams) -> list[np.ndarray]:
-        wind = point.effects["constant_wind"]
+    def predict(params: ModelParams) -> list[np.ndarray]:
+        wind = params.effects["constant_wind"]
         return [np.full((40, 1), 1.0 if np.array_equal(wind, edge.effects["constant_wind"]) else np.nan)]
 
     predictor = SimpleNamespace(
@@ -300,7 +300,7 @@ def test_a_fit_whose_derivatives_are_not_finite_goes_nowhere(derivatives: list[n
     )
     beside = Beside(predictor.times, [[np.ones((40, 1, 1))]], np.ones(1))
     fit, _, _ = fit_effects(predictor, ("constant_wind",), edge, beside, derivatives=derivatives)  # type: ignore[arg-type]
-    assert fit.point is edge
+    assert fit.params is edge
     assert not fit.finite
 
 

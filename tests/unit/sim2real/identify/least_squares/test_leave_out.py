@@ -17,7 +17,7 @@ def fit_of_noise() -> Fit:
     jacobians = [rng.normal(size=(time.size, 2, OWN + TOLERANCES)) for time in times]
     return Fit(
         effects=("rotor_drag",),
-        point=ModelParams(effects={"rotor_drag": np.zeros(3)}),
+        params=ModelParams(effects={"rotor_drag": np.zeros(3)}),
         moments=block_moments(times, residuals, jacobians, length=1.0),
         low=np.full(OWN + TOLERANCES, -0.02),
         high=np.full(OWN + TOLERANCES, 5.0),

@@ -123,7 +123,7 @@ def test_a_wake_is_found_whatever_its_width(width: float, tmp_path: Path) -> Non
     names = ("downwash", "thrust_coefficient", "rotor_drag")
     found = select_effects(predictor, declared_params(ROBOT), Criteria(), candidates=names)
     assert found.accepted == ("downwash",)
-    force, sigma = found.final.fit.point.effects["downwash"]
+    force, sigma = found.final.fit.params.effects["downwash"]
     assert force == pytest.approx(0.6, rel=0.1)
     assert sigma == pytest.approx(width, rel=0.1)
 
@@ -211,7 +211,7 @@ class Given(_Scorer):
     def score(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen = frozenset()) -> Scored:
         """Return a fit with parameters of all effects, one after the other."""
         owners = [(name, k) for name in effects for k in range(start.effects[name].size)]
-        fit = SimpleNamespace(owners=owners, free_effects=np.arange(len(owners)), point=start, frozen=frozen)
+        fit = SimpleNamespace(owners=owners, free_effects=np.arange(len(owners)), params=start, frozen=frozen)
         variance = np.diag([value for name in effects for value in self.variance[name]])
         return cast("Scored", SimpleNamespace(fit=fit, spread=SimpleNamespace(plain=variance)))
 
@@ -230,7 +230,7 @@ def test_parameters_that_flights_do_not_show_stay_neutral() -> None:
     scored, chosen = given.final()
     fit = scored.fit
     assert fit.frozen == {("rotor_drag", 2), ("com_offset", 1)}
-    assert {name: values.tolist() for name, values in fit.point.effects.items()} == {
+    assert {name: values.tolist() for name, values in fit.params.effects.items()} == {
         "rotor_drag": [0.2, 0.3, 0.0],
         "com_offset": [0.004, 0.0, 0.006],
     }
@@ -238,7 +238,7 @@ def test_parameters_that_flights_do_not_show_stay_neutral() -> None:
     assert chosen.without["rotor_drag"].params.effects["com_offset"].tolist() == [9.0, 0.0, 7.0]
     given = Given(named, dict.fromkeys(named.effects, [0.9] * 3))
     shown, same = given.final()
-    assert (shown.fit.frozen, shown.fit.point) == (frozenset(), named.params)
+    assert (shown.fit.frozen, shown.fit.params) == (frozenset(), named.params)
     assert same is given.chosen
 
 
@@ -249,7 +249,7 @@ def test_an_effect_of_which_the_last_fit_shows_no_parameter_has_no_name() -> Non
     drag, offset = (fitted(name, params={name: [9.0, 8.0, 7.0]}) for name in ("rotor_drag", "com_offset"))
     given.chosen = replace(given.chosen, without={"com_offset": drag, "rotor_drag": offset})
     scored, chosen = given.final()
-    assert scored.fit.point is drag.params
+    assert scored.fit.params is drag.params
     assert chosen.effects == ("rotor_drag",)
     assert chosen.refused == {"com_offset": BLIND}
     assert chosen.without["rotor_drag"].effects == ()

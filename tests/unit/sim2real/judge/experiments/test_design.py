@@ -31,7 +31,7 @@ def catalogue_of(folder: Path, *, only: str | None = None) -> Catalogue:
     channels = [channel for channel in find_channels(flights) if only in (None, channel.kind)]
     train = Predictor(ROBOT, flights, bandwidth=10.0, channels=channels, tolerances=TOLERANCES)
     weight = np.array([STD[channel.kind] ** -2 for channel in channels])
-    none = SimpleNamespace(fit=SimpleNamespace(point=ModelParams()), effects=())
+    none = SimpleNamespace(fit=SimpleNamespace(params=ModelParams()), effects=())
     return Catalogue(train, SimpleNamespace(weights=SimpleNamespace(weight=weight), final=none))  # type: ignore[arg-type]
 
 
@@ -140,7 +140,7 @@ def test_what_has_not_shown_is_shown_by_what_excites_it(catalogue: Catalogue) ->
     assert showable(arms, ROBOT, []) == []  # type: ignore[arg-type]
     bent = SimpleNamespace(not_testable={"joint_creep": ""}, accepted=("joint_spring",))
     assert showable(bent, ROBOT, []) == ["joint_creep"]  # type: ignore[arg-type]
-    selection = SimpleNamespace(final=SimpleNamespace(fit=SimpleNamespace(point=ModelParams()), effects=()))
+    selection = SimpleNamespace(final=SimpleNamespace(fit=SimpleNamespace(params=ModelParams()), effects=()))
     names = ["quadratic_drag", "rotor_inertia", "translational_lift"]
     advice = what_shows(catalogue, selection, ModelParams(), names)  # type: ignore[arg-type]
     assert list(advice) == names

@@ -148,7 +148,7 @@ def blown(number: int, std: float = 0.0) -> Flight:
     )
 
 
-def look(flights: list[Flight], point: ModelParams = DRAGGED, **more: object) -> RandomWind:
+def look(flights: list[Flight], params: ModelParams = DRAGGED, **more: object) -> RandomWind:
     channels = find_channels(flights)
     predictor = Predictor(ROBOT, flights, bandwidth=BAND, channels=channels, tolerances=Tolerances())
     settings = {
@@ -157,7 +157,7 @@ def look(flights: list[Flight], point: ModelParams = DRAGGED, **more: object) ->
         "remaining": np.ones(len(channels), dtype=bool),
         **more,
     }
-    return find_random_wind(predictor, point, Criteria(), **settings)  # type: ignore[arg-type]
+    return find_random_wind(predictor, params, Criteria(), **settings)  # type: ignore[arg-type]
 
 
 def test_a_wind_is_seen_through_the_drag_of_the_model() -> None:

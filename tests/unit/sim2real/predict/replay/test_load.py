@@ -205,7 +205,7 @@ def test_a_rollout_carries_the_load_that_swings_in_the_flight() -> None:
     lifted = replace(still, rotor_speed=still.rotor_speed * sqrt(0.75 / 0.6))
     flights = [replace(lifted, name=name) for name in "ab"]
     carried = ModelParams(effects={"slung_payload": np.array([0.15, 0.8, 0.0])})
-    errors = [roll_out(ROBOT, flights, point, horizons=(0.5,)).position for point in (carried, ModelParams())]
+    errors = [roll_out(ROBOT, flights, params, horizons=(0.5,)).position for params in (carried, ModelParams())]
     assert errors[0] is not None
     assert errors[1] is not None
     assert errors[0].max() < 1e-6
@@ -217,8 +217,8 @@ def test_a_rollout_starts_with_the_swing_of_its_row() -> None:
     rows = np.arange(400) / RATE
     fast = np.column_stack((3.0 * rows, np.zeros(400), np.zeros(400)))
     flight = replace(hover("a", 1.0), lin_vel=fast, position=np.column_stack((1.5 * rows**2, 0 * rows, 0 * rows)))
-    point = ModelParams(effects={"slung_payload": np.array([0.15, 0.8, 0.0])})
-    errors = roll_out(ROBOT, [flight], point, horizons=(0.1,), given_attitude=True)
+    params = ModelParams(effects={"slung_payload": np.array([0.15, 0.8, 0.0])})
+    errors = roll_out(ROBOT, [flight], params, horizons=(0.1,), given_attitude=True)
     lean = np.array([-3.0, 0.0, -G]) / np.hypot(3.0, G)
     # M a = F + M g + n m n . (g - a), and F = M g upwards: the load begins without a rate.
     force = np.array([0.0, 0.0, 0.6 * G])
@@ -267,12 +267,12 @@ def test_a_rollout_starts_with_the_swing_that_the_log_shows() -> None:
     )
     flights = [flight]
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
-    point = ModelParams(effects={"slung_payload": np.array([mass, length, 0.0])})
-    links = predictor.links(point)
+    params = ModelParams(effects={"slung_payload": np.array([mass, length, 0.0])})
+    links = predictor.links(params)
     assert links is not None
     assert predictor.links(ModelParams()) is None
     np.testing.assert_allclose(links[0].at(time)[:, 0], angle * np.cos(omega * time), atol=0.05 * angle)
-    errors = [roll_out(ROBOT, flights, point, links=found, horizons=(0.5,)).velocity for found in (links, None)]
+    errors = [roll_out(ROBOT, flights, params, links=found, horizons=(0.5,)).velocity for found in (links, None)]
     assert errors[0] is not None
     assert errors[1] is not None
     assert np.sqrt(np.mean(errors[0] ** 2)) < 0.1 * np.sqrt(np.mean(errors[1] ** 2))

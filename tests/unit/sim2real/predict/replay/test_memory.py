@@ -67,8 +67,8 @@ def test_predictions_follow_the_arms(name: str, tau: float) -> None:
     flight = replace(flight, rotor_speed=flight.rotor_speed * np.sqrt(1.0 + sway * np.sin(turn * time)[:, None]))
     flights = [flight]
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
-    point = ModelParams(effects={name: np.array([compliance, tau, hinge])})
-    found, rigid = (predictor.predict(p)[0][:, 1] for p in (point, ModelParams()))
+    params = ModelParams(effects={name: np.array([compliance, tau, hinge])})
+    found, rigid = (predictor.predict(p)[0][:, 1] for p in (params, ModelParams()))
     lag, less = np.arctan(turn * tau), 1.0 / hypot(1.0, turn * tau)
     at = predictor.times[0]
     rest = compliance * (1.0 - hinge) * ARM * THRUST
@@ -86,8 +86,8 @@ def test_rollouts_begin_with_arms_as_the_log_bends_them(speeds: str) -> None:
     if speeds == "commanded":
         flight = replace(flight, rotor_command=flight.rotor_speed, rotor_speed=None)
     rest = 0.8 * 0.6 * ARM * THRUST
-    point = ModelParams(effects={"joint_creep": np.array([0.8, 20.0, 0.4])})
-    errors = roll_out(ROBOT, [flight], point, horizons=(0.5,))
+    params = ModelParams(effects={"joint_creep": np.array([0.8, 20.0, 0.4])})
+    errors = roll_out(ROBOT, [flight], params, horizons=(0.5,))
     assert errors.velocity is not None
     np.testing.assert_allclose(errors.velocity, G * (1.0 - cos(rest)) * 0.5, rtol=1e-6)
 
@@ -100,8 +100,8 @@ def test_rollouts_begin_with_arms_that_are_as_far_from_rest_as_a_deviation_says(
     names = Tolerances().names(4)
     unbent = np.zeros(len(names))
     unbent[names.index("joint_rest")] = -1.0 / Tolerances().joint_rest
-    point = ModelParams(effects={"joint_creep": np.array([0.8, tau, 0.4])}, deviation=unbent)
-    errors = roll_out(ROBOT, [flight], point, horizons=(0.1,))
+    params = ModelParams(effects={"joint_creep": np.array([0.8, tau, 0.4])}, deviation=unbent)
+    errors = roll_out(ROBOT, [flight], params, horizons=(0.1,))
     assert errors.velocity is not None
     for late, sign in ((0.0, 1.0), (0.005, -1.0)):
         time = errors.windows.row[:, None] / RATE + np.linspace(0.0, 0.1, 201) + late
@@ -118,8 +118,8 @@ def test_rollouts_begin_with_arms_as_they_are_at_their_row() -> None:
     assert flight.rotor_speed is not None
     more = np.where(flight.time >= 1.0, 1.44, 1.0)
     flight = replace(flight, rotor_speed=flight.rotor_speed * np.sqrt(more)[:, None])
-    point, tau = ModelParams(effects={"joint_creep": np.array([0.8, 2.0, 0.4])}), 2.0
-    errors = roll_out(ROBOT, [flight], point, horizons=(0.1,))
+    params, tau = ModelParams(effects={"joint_creep": np.array([0.8, 2.0, 0.4])}), 2.0
+    errors = roll_out(ROBOT, [flight], params, horizons=(0.1,))
     bare = roll_out(ROBOT, [flight], ModelParams(), horizons=(0.1,))
     start = errors.windows.row / RATE
     late = start >= 1.0
@@ -160,10 +160,10 @@ def test_arms_that_have_only_begun_to_creep_are_a_deviation_within_the_tolerance
     flights, tau, rest = [hover("a", 5.0)], 1.5, 0.8 * 0.6 * ARM * THRUST
     tolerances = Tolerances(joint_rest=1.0 / 3.0)
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=tolerances)
-    point = ModelParams(effects={"joint_creep": np.array([0.8, tau, 0.4])})
+    params = ModelParams(effects={"joint_creep": np.array([0.8, tau, 0.4])})
     deviation = np.zeros(predictor.num_tolerances)
     deviation[tolerances.names(4).index("joint_rest")] = -2.0
-    begun, rested = (predictor.predict(p)[0][:, 2] for p in (replace(point, deviation=deviation), point))
+    begun, rested = (predictor.predict(p)[0][:, 2] for p in (replace(params, deviation=deviation), params))
     angle = rest * (1.0 - np.exp(-predictor.times[0] / tau) * 2.0 / 3.0)
     np.testing.assert_allclose(begun - rested, G * (np.cos(angle) - cos(rest)), atol=2e-3 * G * (1.0 - cos(rest)))
     rigid = [predictor.predict(ModelParams(deviation=moved))[0] for moved in (deviation, np.zeros_like(deviation))]
@@ -247,16 +247,16 @@ def test_an_effect_with_memory_is_one_class(monkeypatch: pytest.MonkeyPatch) -> 
     still = float(flight.rotor_speed[0].mean())
     more = np.where(flight.time >= 2.0, 1.1, 1.0)
     flight = replace(flight, rotor_speed=flight.rotor_speed * more[:, None])
-    point = ModelParams(effects={Wake.name: np.array([gain])})
+    params = ModelParams(effects={Wake.name: np.array([gain])})
 
     def push(time: Array) -> Array:
         return gain * still * (1.0 + 0.1 * -np.expm1(-np.maximum(time - 2.0, 0.0)))
 
     predictor = Predictor(ROBOT, [flight], bandwidth=10.0, channels=find_channels([flight]), tolerances=Tolerances())
-    found, bare = (predictor.predict(p)[0][:, 0] for p in (point, ModelParams()))
+    found, bare = (predictor.predict(p)[0][:, 0] for p in (params, ModelParams()))
     np.testing.assert_allclose(found - bare, push(predictor.times[0]) / ROBOT.body.mass, rtol=2e-3)
     vehicle = [vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)]
     rows = np.array([100, 200, 260])
-    run = Batch(vehicle, [point], np.zeros(3, dtype=int), [flight], np.zeros(3, dtype=int), rows)
+    run = Batch(vehicle, [params], np.zeros(3, dtype=int), [flight], np.zeros(3, dtype=int), rows)
     ((_, state, _),) = run.fly(run.measured(0), {run.steps(0.1)})
     np.testing.assert_allclose(state.lin_vel[:, 0], 0.1 * push(rows / RATE + 0.05) / ROBOT.body.mass, rtol=3e-3)

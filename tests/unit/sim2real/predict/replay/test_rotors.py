@@ -222,15 +222,17 @@ def test_a_replay_finds_delay_and_gain_under_noise_of_the_voltage(tmp_path: Path
     tolerance = tolerance_jacobian(predictor, start)
     beside = Beside(predictor.times, [[part] for part in tolerance], np.ones(4))
     fit, _, _ = fit_effects(predictor, ("actuation_delay", "battery_sag"), start, beside)
-    assert fit.point.effects["actuation_delay"][0] == pytest.approx(0.0087, abs=2e-4)
-    assert fit.point.effects["battery_sag"][0] == pytest.approx(0.5, rel=0.01)
+    assert fit.params.effects["actuation_delay"][0] == pytest.approx(0.0087, abs=2e-4)
+    assert fit.params.effects["battery_sag"][0] == pytest.approx(0.5, rel=0.01)
 
 
 def test_a_robot_file_with_delay_and_battery_predicts_and_rolls_out(tmp_path: Path) -> None:
     """Open loop for 1 s from the commands: millimetres with the effects declared, far more without them."""
     found = commanded_flight(tmp_path, delay=0.03, gain=1.0)
     robot = replace(POWERED, effects={"actuation_delay": {"delay": 0.03}, "battery_sag": {"gain": 1.0}})
-    errors = [roll_out(robot, [found], point, horizons=(0.5, 1.0)) for point in (declared_params(robot), ModelParams())]
+    errors = [
+        roll_out(robot, [found], params, horizons=(0.5, 1.0)) for params in (declared_params(robot), ModelParams())
+    ]
     assert errors[0].driven_by == "commands"
     position = [error.position for error in errors]
     assert position[0] is not None
@@ -315,10 +317,10 @@ def test_rollouts_hold_commands_as_a_deviation_says(tmp_path: Path) -> None:
     names = Tolerances().names(4)
     shifted = np.zeros(len(names))
     shifted[names.index("command_hold")] = 1.0 / Tolerances().command_hold
-    point = declared_params(ROBOT)
+    params = declared_params(ROBOT)
     errors = [
         roll_out(ROBOT, [log], model, horizons=(0.5,)).velocity
-        for log, model in ((found, replace(point, deviation=shifted)), (early, point), (found, point))
+        for log, model in ((found, replace(params, deviation=shifted)), (early, params), (found, params))
     ]
     np.testing.assert_allclose(errors[0], errors[1], rtol=1e-9)
     assert not np.allclose(errors[0], errors[2], rtol=1e-3)  # type: ignore[arg-type]
