@@ -1,12 +1,24 @@
 """The protocol of the racing benchmark: what is printed of 20 runs, and of more."""
 
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
+from aerial_gym import task_registry
+from aerial_gym.task import Task
 from benchmarks.racing import BenchRacing, _line
 from tests.unit.export.policies import drawn_policy
+
+
+def make_short(make: Callable[..., Task], level: str, **options: int | str) -> Task:
+    """Make a task, with the kernels of whole episodes, that is evaluated for 1.5 s: random weights crash much earlier."""
+    task = make(level, **options)
+    task.cfg = replace(task.cfg, episode_len_steps=150)
+    return task
 
 
 @pytest.fixture
@@ -14,6 +26,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> BenchRacing:
     """With a policy of random weights in place of one that was trained."""
     found = (drawn_policy(56), SimpleNamespace(task="racing_task"))
     monkeypatch.setattr("aerial_gym.rl_training.policies.load.load_policy", lambda source, device: found)
+    monkeypatch.setattr(task_registry, "make_task", partial(make_short, task_registry.make_task))
     return BenchRacing(policy=Path("nowhere"), levels=("racing_task",), num_envs=21)
 
 
