@@ -44,18 +44,30 @@ torch.set_num_threads(_THREADS)
 level: int | None = 0
 """How far kernels for a CPU are optimised; None: as users have them."""
 
+level_of_rays: int | None = None
+"""The same of rays, which are many in most tests that cast them."""
+
 
 def set_level(module: wp.Module) -> None:
     """Optimise a module as far as is wanted now; never what is so long that this takes minutes.
 
-    Rays, which are many, are optimised always, but without Warp's eager inlining, which makes them a tenth faster and takes
-    three times as long, for each combination of images that tests ask for.
+    Rays are optimised without Warp's eager inlining, which makes them a tenth faster and takes three times as long, for each
+    combination of images that tests ask for.
     """
     if "cast_by_tile" in module.name:
-        module.options["cpu_compiler_flags"] = f"-march=native {launches.NO_BFLOAT16}"
+        if level_of_rays is None:
+            module.options["cpu_compiler_flags"] = f"-march=native {launches.NO_BFLOAT16}"
+        module.options["optimization_level"] = level_of_rays
         return
     long = "-fno-slp-vectorize" in (module.options["cpu_compiler_flags"] or "")
     module.options["optimization_level"] = 0 if long else level
+
+
+def set_levels() -> None:
+    """Optimise the modules of all kernels that were begun as far as is wanted now."""
+    for module, _ in launches._begun:
+        set_level(module)
+        module.mark_modified()
 
 
 class CompileAtLaunch:
@@ -73,6 +85,14 @@ class CompileAtLaunch:
         return done
 
 
+def load_quickly(module: wp.Module, device: wp.DeviceLike, *args: Any, **kwargs: Any) -> Any:
+    """Load a module; one that was not begun before is optimised as far as is wanted now, and has the headers of the others."""
+    if module.options["cpu_compiler_flags"] is None and wp.get_device(device).is_cpu:
+        module.options["cpu_compiler_flags"] = f"{wp.config.cpu_compiler_flags} {launches.NO_BFLOAT16}"
+        set_level(module)
+    return load(module, device, *args, **kwargs)
+
+
 def make_kernel_quickly(*args: Any, differentiable: bool, **kwargs: Any) -> wp.Kernel:
     """Make a fused kernel; an adjoint, which is not compiled ahead, without optimisation: 7 s of compilation in place of 22."""
     kernel = make_kernel(*args, differentiable=differentiable, **kwargs)
@@ -81,6 +101,8 @@ def make_kernel_quickly(*args: Any, differentiable: bool, **kwargs: Any) -> wp.K
     return kernel
 
 
+load = wp.Module.load
+wp.Module.load = load_quickly
 warp_backend.make_kernel = make_kernel_quickly
 COMPILING_THREADS = launches._workers
 launches._workers = cache(CompileAtLaunch)
@@ -125,16 +147,23 @@ def optimised() -> Iterator[None]:
     what must not depend on the batch: the optimiser decides what is done side by side, and which products are fused into sums.
     """
 
-    def change(to: int | None) -> None:
-        global level
-        level = to
-        for module, _ in launches._begun:
-            set_level(module)
-            module.mark_modified()
-
-    change(None)
+    global level, level_of_rays
+    before, level, level_of_rays = (level, level_of_rays), None, None
+    set_levels()
     yield
-    change(0)
+    level, level_of_rays = before
+    set_levels()
+
+
+@pytest.fixture(scope="module")
+def few_rays() -> Iterator[None]:
+    """Compile kernels of rays without optimisation in a module whose images are small, and of many combinations."""
+    global level_of_rays
+    level_of_rays = 0
+    set_levels()
+    yield
+    level_of_rays = None
+    set_levels()
 
 
 @pytest.fixture

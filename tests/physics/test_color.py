@@ -39,6 +39,8 @@ CAMERA = CameraCfg(
 )
 DOWN = [0.0, np.pi / 2, 0.0]
 
+pytestmark = pytest.mark.usefixtures("few_rays")
+
 
 @pytest.fixture(params=DEVICES)
 def device(request: pytest.FixtureRequest) -> torch.device:

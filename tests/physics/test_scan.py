@@ -45,6 +45,8 @@ BALL, BRICK, GROUND = (
 )
 SHAPES = [TREE, BALL, BRICK, GROUND]
 
+pytestmark = pytest.mark.usefixtures("few_rays")
+
 
 @pytest.fixture(params=DEVICES)
 def device(request: pytest.FixtureRequest) -> torch.device:

@@ -30,6 +30,8 @@ CAMERA = CameraCfg(
 )
 LEVEL = torch.tensor([0.0, 0.0, 0.0, 1.0])
 
+pytestmark = pytest.mark.usefixtures("few_rays")
+
 
 @pytest.fixture(params=DEVICES)
 def device(request: pytest.FixtureRequest) -> torch.device:
