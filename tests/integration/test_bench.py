@@ -13,7 +13,7 @@ from aerial_gym.cli.main import main
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS, BodyState, state_at_rest
-from tests.repetitions import thinned
+from tests.repetitions import often
 
 QUICK = ("--device", "cpu", "--repeats", "2", "--repeat-time-s", "0.02", "--threads", "1")
 CPU = torch.device("cpu")
@@ -122,7 +122,13 @@ def test_wrong_requests_end_with_status_2_and_one_sentence(
     assert "Traceback" not in err
 
 
-@pytest.mark.parametrize("controller", thinned((n for n in CONTROLLERS.names() if CONTROLLERS.get(n).law != "pose"), 3))
+OFTEN = ("crazyflie_pid_control", "lee_position_control", "pid_attitude_control")
+"""Of each kind one: an autopilot, a law, and a law with memory."""
+
+
+@pytest.mark.parametrize(
+    "controller", often((n for n in CONTROLLERS.names() if CONTROLLERS.get(n).law != "pose"), OFTEN)
+)
 def test_every_controller_keeps_flying_for_a_stretch(controller: str) -> None:
     """After 20 s with its hover action the batch still passes the checks; without effects, by kernels that others fly too."""
     flight = small_flight(controller=controller, effects=(), num_envs=2)
@@ -131,6 +137,7 @@ def test_every_controller_keeps_flying_for_a_stretch(controller: str) -> None:
     flight.check(started=True)
 
 
+@pytest.mark.slow
 def test_all_effects_together_keep_flying_for_a_stretch() -> None:
     """All that ``tinyprop`` has the numbers for, in open air; without ground effect, as flights begin about z = 0."""
     names = [name for name in EFFECTS.names() if name not in ("battery_sag", "ceiling_effect", "ground_effect")]
@@ -223,7 +230,9 @@ def test_the_number_of_threads_is_put_back() -> None:
     assert torch.get_num_threads() == before
 
 
-@pytest.mark.parametrize("scene", ["boxes", "boxes_100", "clutter", "env_with_obstacles"])
+@pytest.mark.parametrize(
+    "scene", often(["boxes", "boxes_100", "clutter", "env_with_obstacles"], ["boxes", "env_with_obstacles"])
+)
 def test_rendering_gives_frames_rays_and_the_time_of_a_move(scene: str, capsys: pytest.CaptureFixture[str]) -> None:
     argv = ("--scene", scene, "--num-envs", "4", "--width", "32", "--height", "24", "--segmentation", "--json")
     status, out, _ = run(capsys, "bench", "render", *argv, *QUICK)

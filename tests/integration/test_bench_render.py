@@ -48,7 +48,7 @@ def test_others_stand_below_ours_in_one_run(capsys: pytest.CaptureFixture[str]) 
     assert set(others[2]["versions"]) == {"mujoco"}
 
 
-@pytest.mark.parametrize("scene", ["boxes", "clutter"])
+@pytest.mark.parametrize("scene", [pytest.param("boxes", marks=pytest.mark.slow), "clutter"])
 def test_mujoco_sees_the_same_depths_and_ids(scene: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Turned boxes, spheres, cylinders and compounds, each environment with its own poses; a run reports no other images."""
     argv = ("--scene", scene, "--num-envs", "3", "--segmentation", "--json", "--against", "mujoco")

@@ -73,7 +73,7 @@ def flown(controller: str, num_envs: int, first: int) -> BodyState:
     return state
 
 
-@pytest.mark.parametrize("controller", CONTROLLERS)
+@pytest.mark.parametrize("controller", thinned(CONTROLLERS, 3))
 def test_hover_is_the_same_alone_and_among_others(controller: str) -> None:
     five, two = flown(controller, 5, 0), flown(controller, 2, 0)
     alone = {first: flown(controller, 1, first) for first in (0, 1, 4)}
