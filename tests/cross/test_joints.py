@@ -161,7 +161,7 @@ AS_USERS_HAVE_IT = "everything, late"
 """The one whose kernel is optimised."""
 
 
-OFTEN = ("everything, late", "morphy", "snake")
+OFTEN = ("everything, late", "morphy")
 """The parts of the other cases are theirs, but for some effects."""
 
 

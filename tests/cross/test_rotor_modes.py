@@ -66,7 +66,7 @@ def flights(robot, controller, integrator, *, vary=False, effects=(), actions=th
 
 
 @pytest.mark.usefixtures("optimised")
-@pytest.mark.parametrize(("integrator", "vary"), [("euler", True), ("rk4", False)])
+@pytest.mark.parametrize(("integrator", "vary"), [("euler", True), pytest.param("rk4", False, marks=pytest.mark.slow)])
 def test_mixed_rotors_fly_like_torch(integrator: str, vary: bool) -> None:
     """Signs change on the way, slew rates and dead bands act; with every number of its own per environment too."""
     exact, single, fused = flights(mixed_robot(), "no_control", integrator, vary=vary)

@@ -21,6 +21,7 @@ from aerial_gym.physics.mujoco.rollout_trees import RolloutTrees
 from aerial_gym.robots import ROBOTS
 from tests.physics.articulated.trees import pendulum, random_links, random_motion, random_tree
 from tests.physics.vehicles import F64
+from tests.repetitions import often
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[mujoco]'")
 
@@ -53,8 +54,13 @@ def on_a_stand(state: TreeState) -> TreeState:
     return replace(state, **still, attitude=quat_from_euler(turns))
 
 
-@pytest.mark.parametrize("floating", [True, False])
-@pytest.mark.parametrize(("num_joints", "chain"), [(1, False), (6, False), (10, True)])
+@pytest.mark.parametrize(
+    ("num_joints", "chain", "floating"),
+    often(
+        [(*tree, floating) for tree in ((1, False), (6, False), (10, True)) for floating in (True, False)],
+        [(6, False, False), (10, True, True)],
+    ),
+)
 def test_trees_move_as_by_implicit_euler(num_joints: int, chain: bool, floating: bool) -> None:
     """Forces on links, springs, soft ends, drives at their limits and not, links by environment: 50 steps to 1e-9.
 
@@ -151,13 +157,10 @@ def test_environments_bend_alone_as_in_a_batch_and_what_is_not_finite_stays_so(
 
 @pytest.mark.parametrize(
     "robot",
-    [
-        pytest.param(
-            name, marks=pytest.mark.slow if name.endswith(("_position", "_effort")) else ()
-        )  # drives, by test_trees
-        for name in ROBOTS.names()
-        if ROBOTS.get(name).joints is not None
-    ],
+    often(
+        (name for name in ROBOTS.names() if ROBOTS.get(name).joints is not None),
+        ("morphy_creeping", "morphy_fixed_base", "snakey6", "tilt_tricopter"),  # drives, by test_trees
+    ),
 )
 def test_every_robot_with_joints_flies_as_on_torch(robot: str) -> None:
     """0.3 s in float32, from draws; joints and base agree to 1e-4 of their size (snakes whip at up to 50 rad/s)."""
