@@ -25,6 +25,7 @@ def half(folder: Path, name: str, number: int) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_motor_lag_is_named_from_commands_alone(tmp_path: Path) -> None:
     """The first halves of both logs train, the second halves test.
 

@@ -99,6 +99,7 @@ def test_four_motors_of_a_crazyflie(capsys: pytest.CaptureFixture[str]) -> None:
     assert fit["thrust"]["after"]["held_out"]["rms"] < 0.6 * fit["thrust"]["before"]["held_out"]["rms"]
 
 
+@pytest.mark.slow
 def test_creep_of_the_morphy_joint_with_its_first_second(capsys: pytest.CaptureFixture[str]) -> None:
     """Published law: 0.51 deg (first second 1.9); creep fitted to all rows in parity.md 8.4: 0.092 deg (0.112)."""
     found = identify(capsys, "joint", BENCH / "morphy_joint_step.csv")

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured flights
         ("crazyflie_21", "nanobench_cf21/B3_figure8_fast_rep1.csv", 4.0, 6),
         ("neural_fly_quad", "neural_fly/baseline_70wind.csv", 5.0, 3),
         ("crazyflie_21", "neural_swarm/takeoff_cf50.csv", 8.0, 6),
-        ("crazyflie_2x_arpl", "arpl_crazyflie_imu/log15.csv", 10.0, 6),
+        pytest.param("crazyflie_2x_arpl", "arpl_crazyflie_imu/log15.csv", 10.0, 6, marks=pytest.mark.slow),
         ("crazyflie_21_brushless", "idsia_nanodrone/square_run2.csv", 10.0, 12),
     ],
 )
