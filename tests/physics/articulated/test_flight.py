@@ -151,7 +151,7 @@ def test_stiff_joints_are_the_rigid_vehicle_in_its_reference_pose() -> None:
     model = model_of(robot, replace(bending[0], spring=type(bending[0].spring)(**spring)))
     state = replace(at_rest(model), ang_vel=torch.tensor([0.3, -0.2, 0.5], dtype=F64).expand(3, 3))
     other = to_mass_state(expected, BodyState(**{n: v for n, v in vars(state).items() if not n.startswith("joint")}))
-    for _ in range(400):
+    for _ in range(200):
         state = jointed_step(model, state, command, command[:, :0], 1e-4)
         other = semi_implicit_euler(expected, other, command, 1e-4)
     both = zip(state.tensors()[:4], to_body_state(expected, other).tensors()[:4], strict=True)
@@ -173,7 +173,7 @@ def test_morphy_hovers_on_arms_where_thrust_and_spring_balance() -> None:
         seed=0,
     )
     env.reset()
-    for _ in range(600):
+    for _ in range(400):
         env.step(torch.zeros(2, env.robot_manager.num_actions))
     assert float(env.gtd["robot_position"].norm(dim=1).max()) < 0.06  # leaning rotors lift 2 % less
     angle, thrust = env.gtd["dof_position"][0, ::2], env.gtd["rotor_speed"][0]
@@ -193,7 +193,7 @@ def test_an_arm_on_a_stand_falls_back_by_the_published_law() -> None:
     state = replace(thrown(at_rest(model)), joint_pos=torch.tensor([[0.24, 0.0] * 4], dtype=F64))
     angle, rate, dt = 0.24, 0.0, 2.5e-4
     off = torch.zeros(1, 4, dtype=F64)
-    for k in range(600):
+    for k in range(300):
         state = jointed_step(model, state, off, off[:, :0], dt)
         away = angle - 0.125
         weight = G / 0.07 * (cos(angle) - cos(0.125))

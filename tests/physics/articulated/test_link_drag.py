@@ -50,7 +50,7 @@ def test_linear_drag_damps_a_pendulum_by_half_of_it_over_the_mass() -> None:
     rate = linear / (2.0 * mass)
     period = 2.0 * pi / sqrt(G / length - rate**2)
     ends = []
-    for number in (250, 500):
+    for number in (150, 300):
         ends.append(float(swing(period / number, period, start, linear=linear)[0]))
     assert 2.0 * ends[1] - ends[0] == pytest.approx(start * exp(-rate * period), rel=1e-3)
 
