@@ -49,7 +49,7 @@ def test_white_noise_and_random_walk_give_their_closed_forms() -> None:
     assert_unbiased(walk.square().T, k**2 * shares(tau, DT)[:, 1])
 
 
-@pytest.mark.parametrize(("name", "dt"), [("vn100", 10.0), ("bmi088", 2.0)])
+@pytest.mark.parametrize(("name", "dt"), [pytest.param("vn100", 10.0, marks=pytest.mark.slow), ("bmi088", 2.0)])
 def test_simulated_imus_have_the_configured_densities(name: str, dt: float) -> None:
     """N² and K², fitted to the Allan variance of each of 128 sensors, are those of the file on average.
 

@@ -37,7 +37,7 @@ def alone() -> Iterator[None]:
         yield
 
 
-@pytest.mark.parametrize("integrator", ["euler", "rk4"])
+@pytest.mark.parametrize("integrator", ["euler", pytest.param("rk4", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("spheres", "reach"), [(BALL, 0.1), (FEET, CLEAR)])
 def test_rests_at_the_depth_of_its_weight_for_ten_seconds(spheres, reach: float, integrator: str) -> None:
     """n springs k carry m g at the depth ``m g / (n k) = sinking / n``; the force is m g; nothing creeps or turns."""
@@ -169,7 +169,7 @@ def test_a_frictionless_bounce_keeps_tangential_velocity_and_spin() -> None:
     torch.testing.assert_close(rig.impulse[0, :2], torch.zeros(2, dtype=F64), rtol=0.0, atol=1e-15)
 
 
-@pytest.mark.parametrize("integrator", ["euler", "rk4"])
+@pytest.mark.parametrize("integrator", ["euler", pytest.param("rk4", marks=pytest.mark.slow)])
 def test_motion_in_the_contact_converges_to_the_damped_spring_with_order_one(integrator: str) -> None:
     """``d'' = g - w² d - 2 z w d'`` from rest at 2 mm, always pressed: the closed form, steps halved twice."""
     ratio, omega, span = 0.2, sqrt(GRAVITY / 1e-2), 0.1
@@ -334,7 +334,7 @@ def test_more_overlaps_than_there_is_room_for_leave_the_deepest() -> None:
     assert deep.state.position[0, 2].item() == pytest.approx(0.099, abs=2e-6)
 
 
-@pytest.mark.parametrize("integrator", ["euler", "rk4"])
+@pytest.mark.parametrize("integrator", ["euler", pytest.param("rk4", marks=pytest.mark.slow)])
 def test_what_touches_nothing_flies_as_without_contact_bit_for_bit(integrator: str) -> None:
     """Every second vehicle of a batch lands; the others are compared with the plant that knows no ground or scene."""
     height = torch.where(torch.arange(32) % 2 == 0, 5.0, 0.15)

@@ -35,6 +35,7 @@ from tests.physics.swing import fly_remembering
 from tests.physics.test_effects import effects_of, still
 from tests.physics.test_rigid_body import SpeedControl
 from tests.physics.vehicles import BATTERY, CEILING, F64, lopsided_robot, random_state
+from tests.repetitions import seldom
 
 TAU_UP, TAU_DOWN = 0.03, 0.05
 """Of ``lopsided_robot`` [s]."""
@@ -86,7 +87,7 @@ def test_delayed_commands_act_exactly_that_much_later(delay: float, integrator: 
         assert abs(state.rotor_speed[0, 0].item() - expected) < 1e-9, step
 
 
-@pytest.mark.parametrize("integrator", list(INTEGRATORS))
+@pytest.mark.parametrize("integrator", seldom(INTEGRATORS, ["rk4"]))
 def test_the_kernel_delays_each_environment_by_its_own_delay(integrator: str) -> None:
     delays, dt = torch.tensor([[0.0], [0.005], [0.0173], [0.1]]), 0.002
     vehicle = vehicle_from_config(lopsided_robot(), num_envs=4)

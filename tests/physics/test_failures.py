@@ -93,7 +93,7 @@ def test_the_kernel_does_the_same(name: str) -> None:
         torch.testing.assert_close(state.rotor_speed.double(), expected(0.025 * step), atol=2e-3, rtol=0.0)
 
 
-@pytest.mark.parametrize("backend", [TorchBackend, WarpBackend])
+@pytest.mark.parametrize("backend", [pytest.param(TorchBackend, marks=pytest.mark.slow), WarpBackend])
 def test_a_stuck_rotor_keeps_its_speed_whatever_it_is_told(backend: type) -> None:
     """Also where it is told to stop, and bit for bit."""
     used, state = backend(), single(still(4, rotor_speed=[START] * 4))
@@ -106,7 +106,7 @@ def test_a_stuck_rotor_keeps_its_speed_whatever_it_is_told(backend: type) -> Non
         assert float((state.rotor_speed[:, 0] - told).abs().max()) < 0.5
 
 
-@pytest.mark.parametrize("backend", [TorchBackend, WarpBackend])
+@pytest.mark.parametrize("backend", [pytest.param(TorchBackend, marks=pytest.mark.slow), WarpBackend])
 def test_a_stuck_rotor_comes_back_to_its_speed_after_a_brown_out(backend: type) -> None:
     """It slows down with the others to half of its speed, and then to the speed at which it was stuck, not the one it has."""
     vehicle = vehicle_from_config(lopsided_robot(), num_envs=1)

@@ -30,7 +30,7 @@ def fall(backend, span: float, *, spheres, substeps: int = 100) -> torch.Tensor:
     return contact
 
 
-@pytest.mark.parametrize("backend", [TorchBackend, WarpBackend])
+@pytest.mark.parametrize("backend", [pytest.param(TorchBackend, marks=pytest.mark.slow), WarpBackend])
 def test_contact_comes_when_the_lowest_sphere_has_fallen_to_the_ground(backend) -> None:
     """From height h the body falls ``g t²/2``; turned over, a sphere at body z = 0.3 of radius 0.1 hangs 0.4 m below it."""
     spheres = [[0.0, 0.0, 0.0, 0.05], [0.0, 0.0, 0.3, 0.1]]

@@ -19,6 +19,7 @@ from tests.physics.test_effects import effects_of, still
 from tests.physics.test_effects_with_memory import single
 from tests.physics.test_rigid_body import SpeedControl
 from tests.physics.vehicles import F64, lopsided_robot, random_state
+from tests.repetitions import seldom
 
 DT, PARTS, STEPS = 0.004, 5, 60
 """Length of a substep [s], in how many the reference divides it, and how many there are."""
@@ -62,7 +63,7 @@ def test_signed_and_limited_rotors_follow_commands_that_much_later(late: int, in
         torch.testing.assert_close(state.rotor_speed, expected[step], rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("integrator", list(INTEGRATORS))
+@pytest.mark.parametrize("integrator", seldom(INTEGRATORS, ["rk4"]))
 def test_the_kernel_delays_signed_and_limited_rotors(integrator: str) -> None:
     """Each environment by its own delay: float32 of the same states."""
     late = [0, 2, 5, 13]

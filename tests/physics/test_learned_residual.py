@@ -146,7 +146,7 @@ def test_the_warp_twin_gives_the_force_by_hand(cfg: LearnedResidualCfg) -> None:
     np.testing.assert_allclose(torque.numpy(), expected[:, 3:], atol=3e-6)
 
 
-@pytest.mark.parametrize("integrator", ["euler", "rk4"])
+@pytest.mark.parametrize("integrator", [pytest.param("euler", marks=pytest.mark.slow), "rk4"])
 def test_backends_agree_with_it_and_without_a_share_it_does_nothing(integrator: str) -> None:
     """The fused flight of 0.1 s is within round-off of float64; environments with the share 0 fly as if it were not there."""
     robot = replace(lopsided_robot(), learned_residual=random_network(16))

@@ -97,7 +97,10 @@ def test_surfaces_far_away_or_absent_do_nothing() -> None:
     torch.testing.assert_close(far, push(model_of(), at(1e6, -1.5)), rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize(("names", "ceiling"), [(("ground_effect",), None), (("ground_effect", "ceiling_effect"), 0.3)])
+@pytest.mark.parametrize(
+    ("names", "ceiling"),
+    [pytest.param(("ground_effect",), None, marks=pytest.mark.slow), (("ground_effect", "ceiling_effect"), 0.3)],
+)
 def test_the_kernel_tells_the_surfaces_apart(names, ceiling) -> None:
     """One short step from rest: the velocity is the closed form's, for thrusts of both signs."""
     for thrust in (1.2, -1.2):

@@ -36,7 +36,7 @@ def tricopters(controller: str, num_envs: int, backend: str = "auto") -> EnvMana
     return env
 
 
-@pytest.mark.parametrize("backend", ["warp", "torch"])
+@pytest.mark.parametrize("backend", ["warp", pytest.param("torch", marks=pytest.mark.slow)])
 def test_a_tricopter_hovers_at_the_heading_that_its_servo_holds(backend: str) -> None:
     """After 12 s, with steps of the heading both ways: angle of the tail and lean as in balance, at rest.
 

@@ -103,7 +103,9 @@ def test_arms_hover_where_lagrange_says() -> None:
     torch.testing.assert_close(state.joint_vel, torch.zeros_like(state.joint_vel), rtol=0.0, atol=1e-5)
 
 
-@pytest.mark.parametrize("damping", [0.01825324, 0.0005], ids=["as published", "soft"])
+@pytest.mark.parametrize(
+    "damping", [pytest.param(0.01825324, marks=pytest.mark.slow), 0.0005], ids=["as published", "soft"]
+)
 def test_arms_pushed_in_flight_move_with_the_reduced_inertia(damping: float) -> None:
     """Rates of exp(s t); the step is of order 1: they come twice as near with half of it, and in its limit they are right.
 

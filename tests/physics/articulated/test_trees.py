@@ -163,7 +163,7 @@ def test_a_drive_to_a_rate_turns_at_it() -> None:
     assert state.joint_vel.item() == pytest.approx(1.5, rel=1e-9)
 
 
-@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("side", [pytest.param(1.0, marks=pytest.mark.slow), -1.0])
 def test_soft_ends_stop_a_joint_and_never_pull(side: float) -> None:
     """Flung at an end at 0.3 rad: it goes past it by no more than ``v / sqrt(k / I)``, comes back, and leaves freely."""
     tree, links = pendulum(0.5, 0.4)
