@@ -113,7 +113,10 @@ def test_a_randomised_robot_in_gusts_is_the_same_among_few_many_and_alone() -> N
     assert_same(found[2], {key: value[3:] for key, value in found[1].items()})
 
 
-@pytest.mark.parametrize(("env", "robot"), [("empty_env", "tinyprop"), ("landing_env", "base_quadrotor_on_skids")])
+@pytest.mark.parametrize(
+    ("env", "robot"),
+    [("empty_env", "tinyprop"), pytest.param("landing_env", "base_quadrotor_on_skids", marks=pytest.mark.slow)],
+)
 def test_the_torch_backend_flies_an_environment_the_same_among_any_number(env: str, robot: str) -> None:
     """Neither what is left over from whole vectors of the processor nor the first environment's place matters."""
     many = build(env, robot, 130, backend="torch", randomize=RANDOMIZE)
@@ -179,9 +182,8 @@ OFTEN = (
     "motor_failure_task",
     "navigation_task",
     "position_setpoint_task_morphy",
-    "racing_task",
 )
-"""Of each kind one, of which the others have other numbers, or fewer parts."""
+"""Of each kind one, of which the others have other numbers, or fewer parts; races are in ``task/commands/test_track.py``."""
 
 
 @pytest.mark.parametrize("name", often(task_registry.names(), OFTEN))

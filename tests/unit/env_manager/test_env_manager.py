@@ -12,6 +12,7 @@ from aerial_gym.config.environment import AssetCfg, ShapeCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError, ShapeError, UnknownNameError
 from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate_inverse
+from tests.repetitions import often
 
 
 def build(num_envs: int = 4, *, seed: int = 0, **changes: object) -> EnvManager:
@@ -30,10 +31,14 @@ def fly(env: EnvManager, steps: int = 5) -> None:
         env.step(torch.tensor([1.0, 0.2 * i, 0.1, 0.3]).expand(env.num_envs, 4))
 
 
+OFTEN = ("dynamic_env", "empty_env", "forest_env", "landing_env")
+"""Of each kind one: obstacles that move, none, obstacles that stand, and a ground."""
+
+
 @pytest.mark.parametrize(
     ("env_name", "robot_name"),
     [
-        *((name, "base_quadrotor") for name in ENVIRONMENTS.names()),
+        *often(((name, "base_quadrotor") for name in ENVIRONMENTS.names()), [(n, "base_quadrotor") for n in OFTEN]),
         pytest.param("empty_env", "morphy", marks=pytest.mark.slow),
     ],
 )

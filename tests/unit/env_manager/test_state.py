@@ -76,7 +76,9 @@ def assert_same(found: list[dict[str, Tensor]], expected: list[dict[str, Tensor]
         assert not [key for key in a if not torch.equal(a[key].nan_to_num(7.0), b[key].nan_to_num(7.0))]
 
 
-@pytest.mark.parametrize(("backend", "env"), [("warp", "dynamic_env"), ("torch", "empty_env")])
+@pytest.mark.parametrize(
+    ("backend", "env"), [("warp", "dynamic_env"), pytest.param("torch", "empty_env", marks=pytest.mark.slow)]
+)
 def test_a_loaded_state_flies_on_the_same(backend: str, env: str, tmp_path: Path) -> None:
     flown = rich(backend, env=env)
     fly(flown, 7)

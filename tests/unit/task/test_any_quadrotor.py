@@ -1,6 +1,7 @@
 """One policy for many vehicles: actions that are shares of what rotors can be told, and a robot that every episode draws."""
 
 from dataclasses import replace
+from itertools import product
 from math import copysign
 
 import pytest
@@ -13,6 +14,7 @@ from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import task_registry
 from aerial_gym.task.rotor_range import mix_of_four, order_of_places, with_rotor_range
+from tests.repetitions import often
 
 NAME = "any_quadrotor_task"
 
@@ -95,14 +97,16 @@ def test_a_square_quadrotor_is_flown_as_a_quadrotor_rotor_by_rotor(robot: str) -
 
 
 @pytest.mark.parametrize(
-    "robot",
-    [
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("typhoon_hexarotor", "base_octarotor")),
-        *("tilted_hexarotor", "coaxial_octarotor", "morphy_stiff"),
-    ],
+    ("controller", "robot"),
+    often(
+        product(
+            ("rotor_speed_control", "no_control"),
+            ("typhoon_hexarotor", "base_octarotor", "tilted_hexarotor", "coaxial_octarotor", "morphy_stiff"),
+        ),
+        [("rotor_speed_control", "coaxial_octarotor"), ("no_control", "tilted_hexarotor")],
+    ),
 )
-@pytest.mark.parametrize("controller", ["rotor_speed_control", "no_control"])
-def test_other_rotors_lift_and_turn_as_a_quadrotor_would(robot: str, controller: str) -> None:
+def test_other_rotors_lift_and_turn_as_a_quadrotor_would(controller: str, robot: str) -> None:
     """Half of each alone, then more on the right, at the tail, or at the rotors that turn clockwise: signs of the torques."""
     with task_registry.make_task(NAME, num_envs=4, device="cpu", robot=robot, controller=controller) as task:
         task.reset()

@@ -55,6 +55,7 @@ def test_it_is_the_lidar_task_but_for_what_it_says() -> None:
     assert as_lidar == LIDAR
 
 
+@pytest.mark.slow
 def test_the_observation_is_laid_out_as_documented() -> None:
     """13 numbers of the state with the heading error at 6, 4 of the command, 320 of the radar, -1 where nothing returns."""
     obs, *_ = task().step(torch.tensor([0.2, -0.5, 2.0, 0.3]).expand(16, 4))
@@ -76,6 +77,7 @@ def test_the_observation_is_laid_out_as_documented() -> None:
     assert returned.any()
 
 
+@pytest.mark.slow
 def test_so_many_cells_give_no_return() -> None:
     """Over 12 steps of 16 vehicles, and of each cell of the image, within 5 standard deviations of a binomial."""
     lost = torch.stack([task().step(torch.zeros(16, 4))[0]["observations"][:, 17:] == -1.0 for _ in range(12)]).double()
@@ -115,6 +117,7 @@ def states(rows: int = 64) -> dict[str, Tensor]:
     return found | {name: torch.tensor(0.5, dtype=torch.float64) for name in ("step_time", "difficulty")}
 
 
+@pytest.mark.slow
 def test_the_reward_differs_from_the_lidar_tasks_by_the_direction_alone() -> None:
     """2 (exp(-8 v²) - 1) (1 - exp(-2 d²)) of the speed v backwards, there ahead; doubled half way up the levels."""
     values = states()
@@ -129,6 +132,7 @@ def test_the_reward_differs_from_the_lidar_tasks_by_the_direction_alone() -> Non
     assert float(found.abs().max()) > 3.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("side", "expected"), [(-1.0, 2.7), (1.0, 2.7 + 2.0 * (exp(-32.0) - 1.0))])
 def test_flight_ahead_costs_nothing(side: float, expected: float) -> None:
     """6 m away, straight to the goal at 2 m/s: 2 + 14/20, nose first; less 2 backwards."""

@@ -59,7 +59,7 @@ def test_bernstein_control_points_are_those_of_a_known_polynomial() -> None:
     assert control_points(derivative(square)).ravel().tolist() == [0.0, 2.0]
 
 
-@pytest.mark.parametrize("points", [2, 5])
+@pytest.mark.parametrize("points", [pytest.param(2, marks=pytest.mark.slow), 5])
 def test_a_target_flies_the_spline_of_its_points(points: int) -> None:
     """Place, velocity and acceleration are scipy's, and so each is the derivative of the one before; at the end it stays.
 

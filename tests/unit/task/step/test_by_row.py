@@ -18,11 +18,11 @@ from tests.unit.task.navigation import make
     params=[
         "position_setpoint_task",
         "navigation_task",
-        "lidar_navigation_task",
+        pytest.param("lidar_navigation_task", marks=pytest.mark.slow),
         pytest.param("radar_navigation_task", marks=pytest.mark.slow),
-        "platform_landing_task",
+        pytest.param("platform_landing_task", marks=pytest.mark.slow),
         "payload_task",
-        "racing_split_s_task",
+        pytest.param("racing_split_s_task", marks=pytest.mark.slow),
     ],
 )
 def flown(request: pytest.FixtureRequest) -> Task:

@@ -50,7 +50,24 @@ def test_the_mode_sees_what_it_refuses() -> None:
                 wrong()
 
 
-LIKE_OTHERS = ("radar_navigation_task", "radar_navigation_task_held", "position_setpoint_task_reconfigurable")
+LIKE_OTHERS = (
+    "agile_tracking_task",
+    "gust_rejection_task",
+    "lidar_navigation_task",
+    "platform_landing_task",
+    "position_setpoint_task_acceleration_sim2real",
+    "position_setpoint_task_morphy_stiff",
+    "position_setpoint_task_reconfigurable",
+    "position_setpoint_task_sim2real",
+    "position_setpoint_task_sim2real_px4",
+    "racing_random_track_task",
+    "racing_split_s_task",
+    "radar_navigation_task",
+    "radar_navigation_task_held",
+    "safe_navigation_task",
+    "smooth_position_setpoint_task",
+    "smooth_tracking_task",
+)
 """Their terms are those of ``lidar_navigation_task``, whose rays are others, and of ``position_setpoint_task_morphy``."""
 
 

@@ -10,7 +10,6 @@ from aerial_gym import SimBuilder, task_registry
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.task_terms import ActionCfg
 from aerial_gym.task import Task
-from tests.unit.task.step.test_capturable import LIKE_OTHERS
 
 RANDOMIZE = {
     "body.mass": RandomizeCfg(low=0.8, high=1.2),
@@ -21,7 +20,8 @@ RANDOMIZE = {
 }
 
 
-DRAWN = ("position_setpoint_task", "racing_task", "any_quadrotor_task")
+EQUAL = ("motor_failure_task", "navigation_task")
+DRAWN = ("position_setpoint_task", "racing_task")
 """Tasks of one kind each that are tried with drawn parameters as well."""
 
 
@@ -29,7 +29,7 @@ DRAWN = ("position_setpoint_task", "racing_task", "any_quadrotor_task")
     ("name", "randomize"),
     [
         *(
-            pytest.param(name, {}, id=f"{name}-equal", marks=pytest.mark.slow if name in LIKE_OTHERS else ())
+            pytest.param(name, {}, id=f"{name}-equal", marks=() if name in EQUAL else pytest.mark.slow)
             for name in task_registry.names()
         ),
         *(

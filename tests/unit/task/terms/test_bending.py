@@ -35,7 +35,10 @@ def of_snake(now: Values) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("name", "formula", "entries"),
-    [("position_setpoint_task_morphy", of_morphy, 33), ("position_setpoint_task_reconfigurable", of_snake, 49)],
+    [
+        ("position_setpoint_task_morphy", of_morphy, 33),
+        pytest.param("position_setpoint_task_reconfigurable", of_snake, 49, marks=pytest.mark.slow),
+    ],
 )
 def test_the_reward_is_what_is_coded_there(name: str, formula: Callable[[Values], np.ndarray], entries: int) -> None:
     with task_registry.make_task(name, num_envs=32, device="cpu", seed=2) as task:
