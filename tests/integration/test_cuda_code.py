@@ -48,7 +48,7 @@ def compile_for_gpu(module, *, assemble: bool = False) -> None:
     assert Path(binary).is_file()
 
 
-@pytest.mark.parametrize("rich", [False, True])
+@pytest.mark.parametrize("rich", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_ray_kernels_compile(rich: bool) -> None:
     outputs = Outputs(
         images=tuple(IMAGES) if rich else ("distance",),
@@ -86,7 +86,7 @@ def test_physics_kernels_compile(controller: str, integrator: str, names: Sequen
     compile_for_gpu(backend.kernel.module)
 
 
-@pytest.mark.parametrize("integrator", ["euler", "rk4"])
+@pytest.mark.parametrize("integrator", ["euler", pytest.param("rk4", marks=pytest.mark.slow)])
 def test_the_physics_kernel_of_mixed_rotors_compiles(integrator: str) -> None:
     """With ``euler`` it is assembled too: the smallest kernel in which both instructions of inline assembly stand."""
     vehicle = vehicle_from_config(mixed_robot(), num_envs=2)

@@ -127,15 +127,18 @@ def test_everything_is_compiled_with_the_same_flags(cpu: wp.Device) -> None:
     assert len({module.options["cpu_compiler_flags"] for module in modules}) == 1
 
 
-def test_a_kernel_of_very_many_lines_is_not_searched_for_vectors(cpu: wp.Device) -> None:
-    """It takes 8 lines for each column: 50 columns are few, 400 are many."""
+def test_a_kernel_of_very_many_lines_is_not_searched_for_vectors(
+    cpu: wp.Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It takes 8 lines for each column: of 400, 25 columns are few and 75 many."""
+    monkeypatch.setattr(launches, "LONGEST_SEARCHED", 400)
 
     def spread(given: torch.Tensor) -> torch.Tensor:
         for _ in range(4):
             given = given.sin() * given
         return given
 
-    for columns, searched in ((50, True), (400, False)):
+    for columns, searched in ((25, True), (75, False)):
         rows = RowFunction(spread, [torch.ones(2, columns)])
         flags = rows.kernel.module.options["cpu_compiler_flags"].split()
         assert ("-fno-slp-vectorize" not in flags) == searched

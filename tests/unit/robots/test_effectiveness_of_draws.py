@@ -198,7 +198,7 @@ def fly(env: EnvManager, *, hard: bool = False) -> Tensor:
         ("lee_attitude_control", "prioritised"),
         pytest.param("lee_attitude_control", "clamp", marks=pytest.mark.slow),
         pytest.param("pid_rates_control", "prioritised", marks=pytest.mark.slow),
-        ("no_control", "prioritised"),
+        pytest.param("no_control", "prioritised", marks=pytest.mark.slow),
     ],
 )
 def test_the_fused_kernel_flies_as_torch(controller: str, allocation: str) -> None:
@@ -261,7 +261,7 @@ def test_rotors_of_any_kind_make_what_is_commanded() -> None:
     torch.testing.assert_close(fly(env), fly(fused), rtol=1e-3, atol=1e-3)
 
 
-@pytest.mark.parametrize("backend", ["warp", "torch"])
+@pytest.mark.parametrize("backend", [pytest.param("warp", marks=pytest.mark.slow), "torch"])
 def test_without_arms_along_x_nothing_is_asked_of_pitch(backend: str) -> None:
     """A draw that leaves the matrix without rank: roll, thrust and yaw are those of numpy's pseudo-inverse, pitch is let be."""
     flat = {"mounts.*.position": RandomizeCfg(low=(0.0, 0.9, 1.0), high=(0.0, 1.1, 1.0))}

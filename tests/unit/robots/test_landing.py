@@ -31,8 +31,9 @@ def land(robot: str, backend: str) -> tuple[torch.Tensor, torch.Tensor, torch.Te
 @pytest.mark.parametrize(
     ("robot", "backend"),
     [
-        *(("crazyflie_21", "warp"), ("base_quadrotor_on_skids", "warp")),
+        ("base_quadrotor_on_skids", "warp"),
         pytest.param("base_quadrotor_on_skids", "torch", marks=pytest.mark.slow),
+        pytest.param("crazyflie_21", "warp", marks=pytest.mark.slow),
     ],
 )
 def test_a_robot_with_a_flat_shape_stands_where_it_lands(robot: str, backend: str) -> None:

@@ -219,10 +219,12 @@ def _record(true: Vehicle, declared: Vehicle, *, num_train: int, num_test: int, 
 @pytest.mark.parametrize(
     "effect",
     [
-        *("none", "com_offset", "motor_time_constant"),
+        "com_offset",
         *(
             pytest.param(name, marks=pytest.mark.slow)
-            for name in ("rotor_drag", "quadratic_drag", "thrust_coefficient", "constant_wind")
+            for name in (
+                *("none", "motor_time_constant", "rotor_drag", "quadratic_drag", "thrust_coefficient", "constant_wind"),
+            )
         ),
     ],
 )

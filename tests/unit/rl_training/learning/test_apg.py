@@ -49,7 +49,7 @@ def test_the_return_of_a_window_is_that_of_its_episodes_judged_where_they_go_on(
     torch.testing.assert_close(found, expected, atol=1e-12, rtol=0.0)
 
 
-@pytest.mark.parametrize("resets", [False, True])
+@pytest.mark.parametrize("resets", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_the_gradient_of_a_window_is_its_difference(resets: bool) -> None:
     """With respect to weights of the policy, by central differences in float64; with resets, each row ends in the window."""
     cfg = settings(3, horizon=6, bound_coef=1e-3, terminal_value=True)

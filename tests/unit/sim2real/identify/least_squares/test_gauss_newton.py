@@ -48,7 +48,7 @@ def linear_fit(
     )
 
 
-@pytest.mark.parametrize("colour", [15.0, 2.0])
+@pytest.mark.parametrize("colour", [pytest.param(15.0, marks=pytest.mark.slow), 2.0])
 def test_intervals_cover_the_truth_in_coloured_noise_and_with_a_vehicle_that_is_off(colour: float) -> None:
     """95 % intervals hold 95 % of the time: white noise or slow noise, deviations of one sigma drawn anew.
 
