@@ -96,7 +96,7 @@ def test_a_loaded_state_flies_on_the_same(backend: str, env: str, tmp_path: Path
 
 
 def test_saving_changes_nothing() -> None:
-    plain, saved = rich(env="empty_env"), rich(env="empty_env")
+    plain, saved = rich(), rich()
     fly(plain, 3)
     fly(saved, 3)
     state = saved.save_state()
