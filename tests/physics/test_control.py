@@ -143,9 +143,7 @@ def controller_for(name: str, robot_name: str, num_envs: int) -> Controller:
 @pytest.mark.parametrize(
     ("name", "span", "action", "field", "expected"),
     [
-        pytest.param(
-            "lee_position_control", 12.0, [0.5, -0.4, 0.3, 0.6], "position", [0.5, -0.4, 0.3], marks=pytest.mark.slow
-        ),
+        ("lee_position_control", 12.0, [0.5, -0.4, 0.3, 0.6], "position", [0.5, -0.4, 0.3]),
         pytest.param("lee_velocity_control", 8.0, [0.5, 0.0, -0.3, 0.0], "lin_vel", None, marks=pytest.mark.slow),
         ("lee_acceleration_control", 4.0, [0.0, 0.0, 0.0, 0.5], "ang_vel", [0.0, 0.0, 0.5]),
         ("lee_attitude_control", 4.0, [0.0, 0.2, -0.1, 0.0], "attitude", None),
