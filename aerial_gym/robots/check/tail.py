@@ -2,6 +2,7 @@
 
 Its unknowns at hover are the thrusts of the other rotors and two of the tail: the part along body z and that along -y, which a
 positive angle gives. In these forces and torques are linear; thrust and angle are their length and direction.
+The rotor points along body z in the reference pose and the axis of its joint runs through its hub, as ``tail_servo`` takes it.
 Frames: body is x forward, y left, z up. Letters: R rotors.
 """
 
