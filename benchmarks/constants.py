@@ -66,8 +66,6 @@ CONSTANTS = (
     "selection.climb.MOST_IN_VAIN",
     "selection.climb.MOST_RIVALS",
     "selection.climb.SETTLED",
-    "output_error.FAR",
-    "output_error.SMALL",
 )
 """Where they stand, in ``sim2real/identify``."""
 

@@ -8,7 +8,7 @@ from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.model import check_rotors
 from aerial_gym.sim2real.failures.finding import Failure, FailureFinder, until_failure
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
-from aerial_gym.sim2real.identify.stages import declare, refit, select
+from aerial_gym.sim2real.identify.stages import declare, select
 from aerial_gym.sim2real.judge.analysis import Judged, judge
 from aerial_gym.sim2real.judge.failed import with_failures
 from aerial_gym.sim2real.logs.flights import Flight
@@ -47,9 +47,7 @@ def judge_flights(
     declared = declare(robot, learnt, judging, bandwidth=bandwidth, tolerances=off)
     selected = select(declared, criteria or Criteria(), progress, candidates=effects)
     give_back_memory()
-    refitted = refit(selected, progress=progress)
-    give_back_memory()
-    judged = judge(refitted, seed=seed, learn_residual=learn_residual, progress=progress)
+    judged = judge(selected, seed=seed, learn_residual=learn_residual, progress=progress)
     give_back_memory()
     return with_failures(judged, told, len(flights))
 

@@ -1,10 +1,11 @@
-"""The first stages of the loop, each a value that the next one is made of: ``Declared -> Selected -> Refitted``.
+"""The first stages of the loop, each a value that the next one is made of: ``Declared -> Selected``.
 
 The last one, ``Judged``, stands in ``judge.analysis``.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -12,7 +13,6 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real.identify.battery import with_battery
 from aerial_gym.sim2real.identify.least_squares.parameters import params_of, with_params
-from aerial_gym.sim2real.identify.output_error import Refit, refit_on_rollouts
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.identify.selection.select import Selection, select_effects
 from aerial_gym.sim2real.logs.flights import Flight
@@ -69,23 +69,15 @@ class Declared:
 
 @dataclass(frozen=True, kw_only=True)
 class Selected:
-    """The effects that the training flights ask for, one step of the log at a time."""
+    """The effects that the training flights ask for."""
 
     declared: Declared
     selection: Selection
 
-
-@dataclass(frozen=True, kw_only=True)
-class Refitted:
-    """The same effects after a fit on whole rollouts, where flights left out are for it."""
-
-    declared: Declared
-    selection: Selection
-    """With the final model of that fit."""
-
-    refit: Refit
-    params: ModelParams
-    """The final model as the robot file holds it."""
+    @cached_property
+    def params(self) -> ModelParams:
+        """Return the final model as the robot file holds it."""
+        return rounded(self.declared.robot, self.selection.final.fit.params, self.selection.accepted)
 
 
 def declare(
@@ -114,7 +106,7 @@ def select(
     """Return the effects that the training flights ask for, among ``candidates`` if these are given."""
 
     def told(stage: str, share: float) -> None:
-        progress(stage, 0.05 + 0.58 * share)
+        progress(stage, 0.05 + 0.65 * share)
 
     selection = select_effects(
         declared.train, declared.params, criteria, told, test=declared.test.flights, candidates=candidates
@@ -122,18 +114,7 @@ def select(
     return Selected(declared=declared, selection=selection)
 
 
-def refit(selected: Selected, *, progress: Progress) -> Refitted:
-    """Return the selected effects fitted again on rollouts."""
-    declared, by_steps = selected.declared, selected.selection
-    progress("rollouts of the training flights", 0.63)
-    tried = refit_on_rollouts(declared.train, by_steps)
-    adopted = tried.adopted and tried.scored is not None
-    selection = replace(by_steps, final=tried.scored) if adopted else by_steps
-    params = rounded(declared.robot, selection.final.fit.params, selection.accepted)
-    return Refitted(declared=declared, selection=selection, refit=tried, params=params)
-
-
 def rounded(robot: RobotCfg, params: ModelParams, effects: Sequence[str]) -> ModelParams:
-    """Return the parameters with the parameters as the robot file will hold them."""
+    """Return parameters as the robot file will hold them."""
     values = np.array([float(f"{value:.{SIGNIFICANT_DIGITS}g}") for value in params_of(params, effects)])
     return with_params(robot, params, effects, values)

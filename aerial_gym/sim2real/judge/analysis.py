@@ -12,7 +12,7 @@ from aerial_gym.physics.effects import RotorEffect, WrenchEffect
 from aerial_gym.sim2real.identify.learned import judge_on_test, train_residual
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import FARTHEST_DEVIATION
 from aerial_gym.sim2real.identify.selection.select import Selection
-from aerial_gym.sim2real.identify.stages import Declared, Refitted
+from aerial_gym.sim2real.identify.stages import Declared, Selected
 from aerial_gym.sim2real.judge.ablation import ablations
 from aerial_gym.sim2real.judge.breakdown import by_flight, where_it_acts
 from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate
@@ -54,41 +54,41 @@ class Judged:
     verdict: Verdict
 
 
-def judge(refitted: Refitted, *, seed: int, learn_residual: bool, progress: Progress) -> Judged:
+def judge(selected: Selected, *, seed: int, learn_residual: bool, progress: Progress) -> Judged:
     """Return what the test flights say; nothing is fitted to them.
 
     Args:
-        refitted: The stage before.
+        selected: The stage before.
         seed: Of the resampling behind intervals, and of the first weights of a network.
         learn_residual: Whether a small network may be added for what no named effect explains.
         progress: Told what is being done.
     """
-    declared, selection, tested = refitted.declared, refitted.selection, refitted.declared.test
+    declared, selection, tested = selected.declared, selected.selection, selected.declared.test
 
     def on_test(params: ModelParams, floor: Array | None) -> Evaluation:
         return evaluate(declared.robot, tested.flights, tested, params, floor=floor, seed=seed)
 
     progress("rollouts of the declared and the corrected model", 0.7)
-    floors = floors_in_declared_wind(declared, refitted.params)
+    floors = floors_in_declared_wind(declared, selected.params)
     still = of_all_flights(floors)
     before = on_test(declared.params, still)
     progress("rollouts of the corrected model", 0.85)
-    named = on_test(refitted.params, still) if selection.accepted else before
-    unexplained = find_unexplained(declared.train, tested, selection, (declared.params, refitted.params), named, still)
+    named = on_test(selected.params, still) if selection.accepted else before
+    unexplained = find_unexplained(declared.train, tested, selection, (declared.params, selected.params), named, still)
     progress("what each effect is worth", 0.93)
-    effects = judged_effects(refitted, before, named, unexplained.floor, seed=seed)
+    effects = judged_effects(selected, before, named, unexplained.floor, seed=seed)
     learned = None
     if learn_residual:
         progress("learning what remains", 0.9)
-        trained = train_residual(declared.train, refitted.params, selection.left_out, seed=seed)
-        learned = judge_on_test(trained, tested, refitted.params, unexplained.floor)
+        trained = train_residual(declared.train, selected.params, selection.left_out, seed=seed)
+        learned = judge_on_test(trained, tested, selected.params, unexplained.floor)
     if learned is None or learned.effect is None:
-        params, after = refitted.params, unexplained.above_its_floor(named)
+        params, after = selected.params, unexplained.above_its_floor(named)
     else:
-        params = replace(refitted.params, learned=learned.effect)
+        params = replace(selected.params, learned=learned.effect)
         after = on_test(params, unexplained.floor)
     gusts = () if NAME in declared.robot.effects or not unexplained.wind.accepted else (unexplained.wind.named(),)
-    kind, reason, candidates = decision(refitted, unexplained, gusts)
+    kind, reason, candidates = decision(selected, unexplained, gusts)
     became: tuple[Outcome, ...] = ()
     models, both, least = (declared.params, params), (before, after), selection.criteria.material
     if effects or gusts or (learned is not None and learned.cfg is not None):
@@ -105,7 +105,6 @@ def judge(refitted: Refitted, *, seed: int, learn_residual: bool, progress: Prog
         fly_next=fly_next,
         inclusion=selection.chosen.inclusion,
         sets=selection.chosen.sets,
-        output_error=refitted.refit,
         structure=unexplained.structure,
         before=before,
         after=after,
@@ -115,7 +114,7 @@ def judge(refitted: Refitted, *, seed: int, learn_residual: bool, progress: Prog
         not_shown=unexplained.left_open,
         whiteness=dict(zip((channel.name for channel in declared.channels), spectra, strict=True)),
         learned=learned,
-        notes=notes(refitted, unexplained, effects, named),
+        notes=notes(selected, unexplained, effects, named),
     )
     accepted = (*selection.accepted, *(effect.name for effect in gusts))
     return Judged(
@@ -150,13 +149,13 @@ def floors_with_gusts(floors: Sequence[Array | None], unexplained: Unexplained) 
 
 
 def judged_effects(
-    refitted: Refitted, before: Evaluation, named: Evaluation, floor: Array | None, *, seed: int
+    selected: Selected, before: Evaluation, named: Evaluation, floor: Array | None, *, seed: int
 ) -> tuple[NamedEffect, ...]:
     """Return the accepted effects with what each is worth on the test flights, and where it acts.
 
     ``floor`` is the noise floor of each channel with random wind in it, (C,).
     """
-    declared, selection, params = refitted.declared, refitted.selection, refitted.params
+    declared, selection, params = selected.declared, selected.selection, selected.params
     test, models = declared.test, (declared.params, params)
     worth = ablations(declared.robot, test.flights, (declared.train, test), models, (before, named), selection)
     weight = selection.weights.weight
@@ -165,13 +164,13 @@ def judged_effects(
 
 
 def decision(
-    refitted: Refitted, unexplained: Unexplained, gusts: Sequence[NamedEffect]
+    selected: Selected, unexplained: Unexplained, gusts: Sequence[NamedEffect]
 ) -> tuple[str, str, tuple[str, ...]]:
     """Return verdict, reason and candidates."""
-    declared = refitted.declared
+    declared = selected.declared
     known = unexplained.floor is not None
     made = decide(
-        refitted.selection,
+        selected.selection,
         unexplained.channels,
         known,
         open_to=unexplained.open_to,
@@ -186,36 +185,35 @@ def decision(
 
 
 def notes(
-    refitted: Refitted, unexplained: Unexplained, effects: Sequence[NamedEffect], named: Evaluation
+    selected: Selected, unexplained: Unexplained, effects: Sequence[NamedEffect], named: Evaluation
 ) -> tuple[str, ...]:
     """Return what else a reader must know, what matters most first, and what was done to the logs.
 
     ``named`` is what the named effects leave of the test flights.
     """
-    declared = refitted.declared
+    declared = selected.declared
     return (
         *rigid_notes(declared.stated),
         *open_notes(unexplained),
         *unexplained.wind.notes,
         *immaterial(effects),
         *(rival.sentence for effect in effects for rival in effect.in_part),
-        *refitted.refit.contradictions,
-        *strained_notes(refitted, unexplained, named),
-        *surrogate_notes(refitted.selection),
-        *own_notes(refitted.selection),
+        *strained_notes(selected, unexplained, named),
+        *surrogate_notes(selected.selection),
+        *own_notes(selected.selection),
         *about_logs(declared),
     )
 
 
-def strained_notes(refitted: Refitted, unexplained: Unexplained, named: Evaluation) -> list[str]:
+def strained_notes(selected: Selected, unexplained: Unexplained, named: Evaluation) -> list[str]:
     """Return a note on each tolerance that is strained, and on what all deviations together change on the test flights."""
-    declared = refitted.declared
+    declared = selected.declared
     found = declared.tolerances.strained(
-        unexplained.deviation, absent=absent_tolerances(declared, refitted.params), farthest=FARTHEST_DEVIATION
+        unexplained.deviation, absent=absent_tolerances(declared, selected.params), farthest=FARTHEST_DEVIATION
     )
     if not found:
         return []
-    least, changed = refitted.selection.criteria.material, []
+    least, changed = selected.selection.criteria.material, []
     rms = rms_of(unexplained.left).tolist()
     for channel, value, bare in zip(declared.channels, rms, named.residual, strict=True):
         if abs(value - bare.value) > least * bare.value:

@@ -13,7 +13,6 @@ from aerial_gym.sim2real.failures.finding import Failure
 from aerial_gym.sim2real.identify.candidates.structure import Structure
 from aerial_gym.sim2real.identify.learned import Learned
 from aerial_gym.sim2real.identify.least_squares.parameters import is_number, params_of, scales
-from aerial_gym.sim2real.identify.output_error import Refit
 from aerial_gym.sim2real.identify.selection.in_part import RivalInPart
 from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.judge.ablation import Ablation
@@ -119,9 +118,6 @@ class Verdict:
     sets: dict[tuple[str, ...], float]
     """Probability of each set, the most probable first."""
 
-    output_error: Refit
-    """The effects fitted again on whole rollouts."""
-
     structure: Structure
     before: Evaluation
     after: Evaluation
@@ -200,7 +196,6 @@ class Verdict:
             "manoeuvre": None if self.manoeuvre is None else self.manoeuvre.as_mapping(),
             "fly_next": {name: advice.as_mapping() for name, advice in self.fly_next.items()},
             "inclusion": {name: share for name, share in self.inclusion.items() if share >= LEAST_SHOWN},
-            "output_error": self.output_error.as_mapping(),
             "structure": self.structure.as_mapping(),
             "whiteness": {
                 name: {"probability": found.probability, "white": found.white, "octaves": list(found.octaves)}

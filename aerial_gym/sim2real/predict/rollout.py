@@ -27,15 +27,14 @@ from aerial_gym.physics import (
 )
 from aerial_gym.physics.effects import CommandEffect, DelayEffect, LoadEffect, RotorSensorEffect
 from aerial_gym.physics.memory import Memory, make_memory, place_memory
-from aerial_gym.physics.model import EffectParams
 from aerial_gym.physics.rotor_lag import Ramp
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.model_params import ModelParams, effects_at
 from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
 from aerial_gym.sim2real.predict.replay.memory import remembering, track_of
 from aerial_gym.sim2real.predict.replay.rotor_commands import is_commanded, with_arriving_commands
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
-from aerial_gym.sim2real.predict.rows.batches import one_row, with_known_wind
+from aerial_gym.sim2real.predict.rows.batches import expand_rows, one_row, with_known_wind
 from aerial_gym.sim2real.predict.scene import heights, other_along
 from aerial_gym.sim2real.predict.tolerances import Tolerances, deviated
 from aerial_gym.sim2real.predict.windows import FIRST_WINDOW_S, STEP_S, Windows, find_windows, same_rate
@@ -126,10 +125,9 @@ def roll_out_variants(
     load = None if links is None else load_at(links, flights, windows)
     for members in same_rate(flights, windows):
         every = np.tile(members, len(variants))
-        one = np.zeros(every.size, dtype=np.int64)
         starts = windows.flight[every], windows.row[every]
         begun = None if load is None else load[every]
-        run = Batch([off.vehicle], [params], one, flights, *starts, load=begun, settled=[off.joint_start])
+        run = Batch(off.vehicle, params, flights, *starts, load=begun, settled=off.joint_start)
         at = {run.steps(horizon): place for place, horizon in enumerate(kept)}
         given = np.repeat(list(variants.values()), members.size)
         for step, state, truth in run.fly(run.measured(0), at, given_attitude=given):
@@ -158,53 +156,41 @@ def load_at(links: Sequence[Link], flights: Sequence[Flight], windows: Windows) 
 
 
 class Batch:
-    """Windows of flights with one rate, side by side, each under one of several models."""
+    """Windows of flights with one rate, side by side."""
 
     def __init__(
         self,
-        vehicles: Sequence[Vehicle],
-        points: Sequence[ModelParams],
-        of: NDArray[np.int64],
+        vehicle: Vehicle,
+        params: ModelParams,
         flights: Sequence[Flight],
         flight: NDArray[np.int64],
         row: NDArray[np.int64],
         *,
         load: Array | None = None,
-        settled: Sequence[float] | None = None,
+        settled: float = 1.0,
     ) -> None:
         """Take the windows.
 
         Args:
-            vehicles: Of each model, one environment.
-            points: Effects of each model: the same ones with the same learned residual.
-            of: Which model each window has, (W,).
+            vehicle: Of the model, one environment.
+            params: Its effects.
             flights: With the commands that arrive.
             flight: Flight of each window, (W,).
             row: Where it starts, (W,).
             load: Direction and rate of the link of the load there, (W, 6); None: as if it hung still when the log begins.
-            settled: Of each model, how far soft arms have come to rest when a log begins in the air; None: all the way.
+            settled: How far soft arms have come to rest when a log begins in the air; 1: all the way.
         """
-        self._settled = [1.0] * len(vehicles) if settled is None else settled
-        self._flights, self._flight, self._row, self._load, self._of = flights, flight, row, load, of
+        self._flights, self._flight, self._row, self._load, self._settled = flights, flight, row, load, settled
         self._tables: dict[str, _Table] = {}
         self._along_flights: dict[tuple[str, int], Array] = {}
-        self._along: dict[
-            int, list[Array | None]
-        ] = {}  # rotor speeds of each model along all flights, from the commands
+        self._led_along: list[Array | None] | None = None  # rotor speeds along all flights, from the commands
         self._rate, self._commanded = flights[flight[0]].rate, is_commanded(flights)
         self._stride = max(1, int(STEP_S * self._rate + 1e-9))
-        model_of = torch.from_numpy(of)
-        tables = [vehicle.rows() for vehicle in vehicles]
-        vehicle = replace(vehicles[0], **{n: torch.cat([rows[n] for rows in tables])[model_of] for n in tables[0]})
         self._rotors = vehicle.num_rotors
-        names = [n for n in points[0].effects if self._commanded or EFFECTS.get(n).acts_on != "actuation"]
-        effects: list[EffectParams] = [
-            (EFFECTS.get(n), torch.from_numpy(np.stack([p.effects[n] for p in points]))[model_of]) for n in names
-        ]
-        if (learned := points[0].learned) is not None:
-            effects.append((learned, torch.ones(row.size, 1, dtype=torch.float64)))
+        names = [n for n in params.effects if self._commanded or EFFECTS.get(n).acts_on != "actuation"]
+        effects = effects_at(replace(params, effects={name: params.effects[name] for name in names}), row.size)
         scene = heights([flights[index] for index in flight], [1] * row.size)
-        model = build_model(vehicle, effects, **scene)
+        model = build_model(expand_rows(vehicle, row.size), effects, **scene)
         flown = replace(model, effects=model.effects.without(DelayEffect, CommandEffect))  # they have acted
         self._model = with_known_wind(flown, flights, flight)
         longest = MEMORY_STEP_S if flown.effects.remembering else STEP_S
@@ -256,9 +242,9 @@ class Batch:
         if any(self._flights[index].rotor_speed is not None for index in np.unique(self._flight)):
             return self._true_speed(self._gather("rotor_speed", rows))
         speed = torch.empty(rows.size, self._rotors, dtype=torch.float64)
-        for model, index in np.unique(np.stack((self._of, self._flight)), axis=1).T:
-            chosen = np.flatnonzero((self._of == model) & (self._flight == index))
-            along = self._speed_along(int(model), int(index))
+        for index in np.unique(self._flight):
+            chosen = np.flatnonzero(self._flight == index)
+            along = self._speed_along(int(index))
             speed[chosen] = along[np.minimum(rows[chosen], len(along) - 1)]
         return speed
 
@@ -284,29 +270,27 @@ class Batch:
         found: dict[str, Tensor] = {}
         for effect, params in remembering(self._model.effects):
             numbers = torch.empty(self._row.size, len(effect.fresh_memory(self._rotors)), dtype=torch.float64)
-            for model, index in np.unique(np.stack((self._of, self._flight)), axis=1).T:
-                chosen = np.flatnonzero((self._of == model) & (self._flight == index))
-                vehicle, one = one_row(self._model.vehicle, chosen[0]), params[chosen[:1]]
-                speed = self._speed_along(int(model), int(index))
-                settled, step = self._settled[int(model)], 1.0 / self._rate
-                along = effect.replay(track_of(self._flights[index], vehicle, speed, step, settled=settled), one)
+            vehicle, one, step = one_row(self._model.vehicle, 0), params[:1], 1.0 / self._rate
+            for index in np.unique(self._flight):
+                chosen, speed = np.flatnonzero(self._flight == index), self._speed_along(int(index))
+                along = effect.replay(track_of(self._flights[index], vehicle, speed, step, settled=self._settled), one)
                 numbers[chosen] = along[self._row[chosen]]
             found[effect.name] = numbers
         return found
 
-    def _speed_along(self, model: int, index: int) -> Tensor:
-        """Return true rotor speeds along a flight under a model [rad/s], (T, R): as measured, else as commands lead to."""
-        window, speed = int(np.argmax(self._of == model)), self._flights[index].rotor_speed
+    def _speed_along(self, index: int) -> Tensor:
+        """Return true rotor speeds along a flight [rad/s], (T, R): as measured, else as commands lead to."""
+        speed = self._flights[index].rotor_speed
         if speed is None:
-            if model not in self._along:
-                lagging = replace(self._model, vehicle=one_row(self._model.vehicle, window))
-                self._along[model] = RotorReplay(self._flights).speeds(lagging, 0.0)
-            led = self._along[model][index]
+            if self._led_along is None:
+                lagging = replace(self._model, vehicle=one_row(self._model.vehicle, 0))
+                self._led_along = RotorReplay(self._flights).speeds(lagging, 0.0)
+            led = self._led_along[index]
             assert led is not None
             return torch.from_numpy(led)
         true = torch.from_numpy(speed)
         for effect, params in reversed(self._model.effects[RotorSensorEffect]):
-            true = effect.true_speed(true, params[window : window + 1])
+            true = effect.true_speed(true, params[:1])
         return true
 
     def _led(self, step: int, state: BodyState) -> Tensor | Ramp:

@@ -74,13 +74,6 @@ def with_arriving_commands(off: Deviated, flights: Sequence[Flight], params: Mod
     return [replace(flight, rotor_command=mean_commands(flight, model, shift=shift)) for flight in flights]
 
 
-def what_moves_commands(off: Deviated, params: ModelParams) -> bytes:
-    """Return what tells a model from others that do something else to commands."""
-    acting = [values.tobytes() for name, values in params.effects.items() if acts_on_commands(name)]
-    seen = off.vehicle.battery.numpy().tobytes() if acting else b""
-    return b"".join((np.float64(off.command_shift).tobytes(), seen, *acting))
-
-
 def acts_on_commands(name: str) -> bool:
     """Return whether an effect changes what commands lead to."""
     return EFFECTS.get(name).kind in (CommandEffect, DelayEffect)

@@ -184,8 +184,9 @@ def test_predictions_are_those_of_the_independent_plant(tmp_path: Path) -> None:
     assert (left[:3] < 0.003 * missed[:3]).all(), (left / missed).round(5)
 
 
-def test_windows_of_one_batch_begin_each_with_the_arms_of_its_model_and_flight() -> None:
-    """Two compliances and two flights, one with twice the thrust in rotors 1 and 3 as in 2 and 4.
+@pytest.mark.parametrize("compliance", [0.4, 0.8])
+def test_windows_of_one_batch_begin_each_with_the_arms_of_its_flight(compliance: float) -> None:
+    """Two flights, one with twice the thrust in rotors 1 and 3 as in 2 and 4.
 
     After 0.1 s each has lost ``1 - cos h`` of the thrust of each rotor.
     """
@@ -193,13 +194,12 @@ def test_windows_of_one_batch_begin_each_with_the_arms_of_its_model_and_flight()
     assert still.rotor_speed is not None
     uneven = np.array([4.0, 2.0, 4.0, 2.0]) / 3.0
     flights = [still, replace(still, name="b", rotor_speed=np.sqrt(uneven) * still.rotor_speed)]
-    points = [ModelParams(effects={"joint_creep": np.array([c, 30.0, 0.4])}) for c in (0.4, 0.8)]
-    vehicles = [vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)] * 2
-    of, flight = np.array([0, 1, 1, 0]), np.array([0, 0, 1, 1])
-    run = Batch(vehicles, points, of, flights, flight, np.array([100, 200, 100, 200]))
+    params = ModelParams(effects={"joint_creep": np.array([compliance, 30.0, 0.4])})
+    vehicle = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)
+    run = Batch(vehicle, params, flights, np.array([0, 0, 1, 1]), np.array([100, 200, 100, 200]))
     ((_, state, _),) = run.fly(run.measured(0), {run.steps(0.1)})
     push = np.stack([np.ones(4), np.ones(4), uneven, uneven])
-    angle = np.array([0.4, 0.8, 0.8, 0.4])[:, None] * 0.6 * ARM * THRUST * push
+    angle = compliance * 0.6 * ARM * THRUST * push
     lost = (push * (1.0 - np.cos(angle))).mean(axis=1)
     np.testing.assert_allclose(state.lin_vel[:, 2], -0.1 * G * lost, rtol=1e-6)
 
@@ -255,8 +255,8 @@ def test_an_effect_with_memory_is_one_class(monkeypatch: pytest.MonkeyPatch) -> 
     predictor = Predictor(ROBOT, [flight], bandwidth=10.0, channels=find_channels([flight]), tolerances=Tolerances())
     found, bare = (predictor.predict(p)[0][:, 0] for p in (params, ModelParams()))
     np.testing.assert_allclose(found - bare, push(predictor.times[0]) / ROBOT.body.mass, rtol=2e-3)
-    vehicle = [vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)]
+    vehicle = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)
     rows = np.array([100, 200, 260])
-    run = Batch(vehicle, [params], np.zeros(3, dtype=int), [flight], np.zeros(3, dtype=int), rows)
+    run = Batch(vehicle, params, [flight], np.zeros(3, dtype=int), rows)
     ((_, state, _),) = run.fly(run.measured(0), {run.steps(0.1)})
     np.testing.assert_allclose(state.lin_vel[:, 0], 0.1 * push(rows / RATE + 0.05) / ROBOT.body.mass, rtol=3e-3)
