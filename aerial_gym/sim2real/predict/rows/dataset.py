@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.interpolate import CubicSpline
 from torch import Tensor
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
@@ -21,6 +20,7 @@ from aerial_gym.sim2real.logs.signals import edge_rows, lowpass, lowpass_columns
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.nonzero import not_zero
 from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate
+from aerial_gym.sim2real.predict.rows.spline import Spline
 from aerial_gym.sim2real.predict.scene import heights, other_along
 
 Array = NDArray[np.float64]
@@ -76,6 +76,7 @@ class Dataset:
         self.kept = [self._kept_rows(f, s, every_row) for f, s in zip(flights, self.stride, strict=True)]
         self.measured = [self._measure(index) for index in range(len(flights))]
         self.times = [flight.time[kept] for flight, kept in zip(flights, self.kept, strict=True)]
+        self._spline = Spline(self.times)
         states = [self._state_rows(index) for index in range(len(flights))]
         self.state = {name: torch.cat([state[name] for state in states]) for name in states[0]}
         ends = np.cumsum([0, *(state["attitude"].shape[0] for state in states)])
@@ -128,13 +129,7 @@ class Dataset:
 
     def later(self, columns: list[Array], seconds: Sequence[float]) -> list[Array]:
         """Return values in the band at the rows of all flights, each (rows kept,), later by so many seconds in each flight."""
-        if not any(seconds):
-            return columns
-        parts = [
-            later([column[span] for column in columns], time, delay)
-            for span, time, delay in zip(self.kept_spans, self.times, seconds, strict=True)
-        ]
-        return [np.concatenate(own) for own in zip(*parts, strict=True)]
+        return self._spline.later(columns, seconds)
 
     def in_band(self, columns: Array) -> Array:
         """Return values at the rows of all flights (K, E) in the band, (K, rows kept); what is zero stays so."""
@@ -233,10 +228,3 @@ class Dataset:
         if stride > 1:
             values = lowpass(values, self.flights[index].rate, PREFILTER * self.flights[index].rate / stride)[::stride]
         return torch.from_numpy(np.ascontiguousarray(values))
-
-
-def later(columns: list[Array], time: Array, seconds: float) -> list[Array]:
-    """Return values in the band at some times [s], each (rows,), as they are so many seconds later: as a cubic spline runs."""
-    if not seconds or time.size < 2:
-        return columns
-    return list(CubicSpline(time, np.stack(columns, axis=1))(time - seconds).T.copy())

@@ -57,7 +57,7 @@ from aerial_gym.sim2real.predict.replay.memory import remembered_along
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rows.answered_noise import seeming_torque
 from aerial_gym.sim2real.predict.rows.batches import expand_model, with_known_wind
-from aerial_gym.sim2real.predict.rows.dataset import Dataset, later
+from aerial_gym.sim2real.predict.rows.dataset import Dataset
 from aerial_gym.sim2real.predict.rows.imu_reading import ImuReading, imu_of
 from aerial_gym.sim2real.predict.rows.in_band import InBand
 from aerial_gym.sim2real.predict.tolerances import (
@@ -71,7 +71,7 @@ from aerial_gym.sim2real.predict.tolerances import (
 
 Array = NDArray[np.float64]
 Columns = list[Array]
-"""Channels of one flight, each (rows kept,): predictions that differ in some share the others."""
+"""Channels, each (rows kept,): predictions that differ in some share the others."""
 
 CONDITIONS = 4
 """Conditions kept: those of the present model, of the body and at its hubs, and of one that differs from it."""
@@ -120,7 +120,7 @@ class Together:
         self._in_band = InBand(data)
         self._nothing = torch.zeros(len(tolerances.names(self._declared.num_rotors)), dtype=torch.float64)
         self._imu = ImuReading(data, self._in_band)
-        self._replayed: list[tuple[list[Array | None], list[Columns]]] = []
+        self._replayed: list[tuple[list[Array | None], Columns]] = []
         self._conditions: OrderedDict[tuple[object, ...], tuple[object, Condition]] = OrderedDict()
         self._hung: _Hanging | None = None
         self._params, self._in_step = declared_params(robot), None
@@ -130,15 +130,12 @@ class Together:
         asked = self._asked(params)
         kinds = dict.fromkeys(channel.kind for channel in self.data.channels)
         rows = self._rows(asked) if kinds.keys() - {"rotor_speed"} else {}
-        columns = [column for kind in kinds if kind in rows for column in rows[kind]]
-        found = [[column[span] for column in columns] for span in self.data.kept_spans]
         if "rotor_speed" in kinds:
             assert asked.speeds is not None
-            place = 3 * list(kinds).index("rotor_speed")
-            late = float(asked.logged.delays[0])
-            for own, turning, time in zip(found, self._slow_speeds(asked.speeds), self.data.times, strict=True):
-                own[place:place] = later(turning, time, late)
-        return found
+            late = [float(asked.logged.delays[0])] * len(self.data.times)
+            rows["rotor_speed"] = self.data.later(self._slow_speeds(asked.speeds), late)
+        columns = [column for kind in kinds for column in rows[kind]]
+        return [[column[span] for column in columns] for span in self.data.kept_spans]
 
     def felt(self, params: ModelParams) -> list[Array]:
         """Return the inputs of a learned residual at the rows of each flight, in the band, (rows kept, 7) each."""
@@ -307,16 +304,17 @@ class Together:
                 speed, spin_up = effect.true_speed(speed, params), effect.true_speed(spin_up, params)
         return speed, spin_up
 
-    def _slow_speeds(self, speeds: list[Array | None]) -> list[Columns]:
-        """Return the rotor speeds of each flight in the band."""
+    def _slow_speeds(self, speeds: list[Array | None]) -> Columns:
+        """Return the rotor speeds of all flights in the band."""
         for place, (before, found) in enumerate(self._replayed):
             if before is speeds:
                 self._replayed.insert(0, self._replayed.pop(place))
                 return found
-        found = []
+        parts = []
         for flight, kept, speed in zip(self.data.flights, self.data.kept, speeds, strict=True):
             assert speed is not None
-            found.append(list(lowpass(speed, flight.rate, self.data.bandwidth)[kept].T.copy()))
+            parts.append(lowpass(speed, flight.rate, self.data.bandwidth)[kept])
+        found = list(np.concatenate(parts).T.copy())
         self._replayed.insert(0, (speeds, found))
         del self._replayed[REPLAYS:]
         return found
