@@ -3,9 +3,10 @@
 ``implicit_euler``: the efforts of joints are those at the end of the step, linearised; all else is semi-implicit Euler. It is
 of order 1 and stable however stiff a joint is. A drive that would be beyond its limit at the end of the step is at its limit
 through it, as is dry friction: whether it would is found by a step without limits. (Judged at the start, a drive that moves a
-light link to its place within a step would overshoot in each.) Where there is such a first step, what turning and swinging take
-is that of the rates half way to its end: of those at the start it feeds what whirls, and snakes under random thrusts ended in
-NaN. ``rk4``: order 4, for motion that no stiff joint is in.
+light link to its place within a step would overshoot in each.) With drives or friction, what turning and swinging take is that
+of the rates half way to the end of a step under the efforts so found: taken at the rates at the start it feeds what whirls, and
+half way to the end of the step without limits, in which drives do as they like, it does so too; snakes under random commands
+ended in NaN. ``rk4``: order 4, for motion that no stiff joint is in.
 Letters: E environments, D joints, L links.
 
 Sources:
@@ -74,6 +75,7 @@ def with_drive(
     """Return the state after a step under laws and a drive, which gives way where a first step would take it to its limit.
 
     Then it is found likewise which joints dry friction does not hold; in the first step it acts on those that move already.
+    A step under what was found says what the rates half way are, at which the last one takes what turning and swinging take.
 
     Args:
         step: A step from ``state`` under efforts of joints, taken at its end, and what turning and swinging take in a motion.
@@ -84,7 +86,8 @@ def with_drive(
     """
     pos, vel = state.joint_pos, state.joint_vel
     acts, nowhere = joint_effort(laws, pos, vel), torch.zeros_like(pos)
-    end = None
+    if drive is None and friction is None:
+        return step(acts, state)
     if drive is not None:
         trial = acts + drive.effort_at(pos, vel, nowhere)
         if friction is not None:
@@ -94,7 +97,7 @@ def with_drive(
     if friction is not None:
         end = step(acts + friction.effort_at(pos, vel, nowhere), state)
         acts = acts + friction.effort_at(pos, vel, friction.beyond(end.joint_pos, end.joint_vel))
-    return step(acts, state if end is None else half_way(state, end))
+    return step(acts, half_way(state, step(acts, state)))
 
 
 def half_way(state: TreeState, end: TreeState) -> TreeState:

@@ -174,6 +174,8 @@ def make_jointed_kernel(
         half_w = w
         half_vel = vel
         if wp.static(driven or rubs):
+            if wp.length_sq(given.at_limit) + wp.length_sq(given.slips) > 0.0:  # else it is the step before
+                first, turn, rise = find(vehicle, more, held, pos, vel, vel, drives, given, thrusts, drags, w, move, dt)
             half_w = w + 0.5 * dt * turn
             half_vel = 0.5 * (vel + first)
         rates, turn, rise = find(
