@@ -13,7 +13,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.control.lee import LEAST_LIFT, LeeGains
-from aerial_gym.physics.fused.functions import inverse_root, rotate, rotate_inverse, unit
+from aerial_gym.physics.fused.functions import inverse_root, rotate, rotate_inverse, unit, world_up
 
 
 @wp.struct
@@ -79,16 +79,6 @@ def load_gains(source: wp.array2d[float], first: int, env: int) -> Gains:
     gains.max_yaw_rate = source[first + 23, env]
     gains.max_slope = source[first + 24, env]
     return gains
-
-
-@wp.func
-def up_of(q: wp.quat) -> wp.vec3:
-    """Return world z as the body sees it, the third row of R."""
-    return wp.vec3(
-        2.0 * (q[0] * q[2] - q[3] * q[1]),
-        2.0 * (q[1] * q[2] + q[3] * q[0]),
-        1.0 - 2.0 * (q[0] * q[0] + q[1] * q[1]),
-    )
 
 
 @wp.func
@@ -220,7 +210,7 @@ def steering_control(
     position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: vec5, gains: Gains
 ) -> wp.spatial_vector:
     """Return the wrench for vx, vy, vz [m/s, vehicle frame] and yaw [rad]."""
-    inverse = inverse_cos_pitch(up_of(attitude))
+    inverse = inverse_cos_pitch(world_up(attitude))
     velocity = from_vehicle_frame(attitude, inverse, wp.vec3(wanted[0], wanted[1], wanted[2]))
     force = limited_force(gains, wp.cw_mul(gains.velocity, velocity - lin_vel))
     heading = rotate_inverse(attitude, wp.vec3(wanted[3], wanted[4], 0.0))
@@ -247,7 +237,7 @@ def velocity_control(
 ) -> wp.spatial_vector:
     """Return the wrench for vx, vy, vz [m/s, vehicle frame] and yaw rate [rad/s]."""
     q = attitude
-    up = up_of(q)
+    up = world_up(q)
     inverse = inverse_cos_pitch(up)
     velocity = from_vehicle_frame(q, inverse, wp.vec3(wanted[0], wanted[1], wanted[2]))
     force = limited_force(gains, wp.cw_mul(gains.velocity, velocity - lin_vel))
@@ -266,7 +256,7 @@ def acceleration_control(
     position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: wp.vec4, gains: Gains
 ) -> wp.spatial_vector:
     """Return the wrench for ax, ay, az [m/s², world] and yaw rate [rad/s]."""
-    up = up_of(attitude)
+    up = world_up(attitude)
     heading = heading_of(up, inverse_cos_pitch(up))
     return force_wrench(gains, attitude, ang_vel, wp.vec3(wanted[0], wanted[1], wanted[2]), heading, wanted[3] * up)
 
@@ -293,7 +283,7 @@ def attitude_control(
     The wanted attitude has the heading of the body, so that the yaw drops out: vehicle x, y and z as the body sees them are
     turned by the wanted pitch and then by the wanted roll.
     """
-    up = up_of(attitude)
+    up = world_up(attitude)
     inverse = inverse_cos_pitch(up)
     heading = heading_of(up, inverse)
     left_y = up[2] * inverse  # vehicle y has no part along body x

@@ -13,11 +13,11 @@ from torch import Tensor
 from aerial_gym.control.cascade_fused import make_allot, make_remembering, make_two_levels
 from aerial_gym.control.crazyflie.crazyflie_fused import Maker
 from aerial_gym.control.lee import LEAST_LIFT
-from aerial_gym.control.lee_fused import read_vec3, up_of, within_inclination
+from aerial_gym.control.lee_fused import read_vec3, within_inclination
 from aerial_gym.control.reduced_attitude_fused import shortest_turn, tilt_first_error
 from aerial_gym.control.timing import Timing
 from aerial_gym.physics.fused.command import make_speed_of
-from aerial_gym.physics.fused.functions import unit
+from aerial_gym.physics.fused.functions import unit, world_up
 from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.fused.memory import LawArrays
 from aerial_gym.physics.fused.types import rotor_types
@@ -85,7 +85,7 @@ def make_lean(*, gravity: float, max_inclination: float) -> wp.Function:
         wanted = wp.cw_mul(gains.position, error) - wp.cw_mul(gains.velocity, lin_vel)
         wanted += wp.vec3(0.0, 0.0, wp.static(gravity))
         wanted = within_inclination(wanted, wp.static(LEAST_LIFT * gravity), wp.static(slope))
-        collective = wp.clamp(wanted[2] / up_of(attitude)[2], gains.least_thrust, gains.most_thrust)
+        collective = wp.clamp(wanted[2] / world_up(attitude)[2], gains.least_thrust, gains.most_thrust)
         turn = shortest_turn(wp.vec3(0.0, 0.0, 1.0), unit(wanted))
         goal = turn * wp.quat(0.0, 0.0, wp.sin(0.5 * action[3]), wp.cos(0.5 * action[3]))
         rates = 2.0 * gains.attitude * tilt_first_error(attitude, goal, gains.mixing)

@@ -12,11 +12,12 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.control.cascade_fused import make_allot, make_remembering, make_two_levels
-from aerial_gym.control.lee_fused import from_vehicle_frame, inverse_cos_pitch, read_vec3, up_of, write_vec3
+from aerial_gym.control.lee_fused import from_vehicle_frame, inverse_cos_pitch, read_vec3, write_vec3
 from aerial_gym.control.px4.rates import FADING_RATE, LowPass2
 from aerial_gym.control.reduced_attitude_fused import tilt_first_error
 from aerial_gym.control.timing import Timing
 from aerial_gym.physics.fused.command import make_speed_of
+from aerial_gym.physics.fused.functions import world_up
 from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.fused.memory import LawArrays
 from aerial_gym.physics.fused.types import rotor_types
@@ -108,7 +109,7 @@ def wanted_rates(gains: Px4Rows, attitude: wp.quat, wanted: wp.quat, yaw_rate: f
     """Return ``attitude.wanted_rates`` [rad/s], body."""
     error = tilt_first_error(attitude, wanted, gains.yaw_weight)
     gain = wp.vec3(gains.attitude[0], gains.attitude[1], gains.attitude[2] / gains.yaw_weight)
-    rates = 2.0 * wp.cw_mul(gain, error) + yaw_rate * up_of(attitude)
+    rates = 2.0 * wp.cw_mul(gain, error) + yaw_rate * world_up(attitude)
     return wp.min(wp.max(rates, -gains.rate_limit), gains.rate_limit)
 
 
@@ -193,7 +194,7 @@ def make_wish(law: str, filters: "Px4Filters", timing: Timing, first: int) -> wp
         gains: Px4Rows, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3,
         action: wp.vec4, arrays: LawArrays, env: int, since: int, dt: float,
     ) -> wp.vec4:  # fmt: skip
-        up = up_of(attitude)
+        up = world_up(attitude)
         inverse = inverse_cos_pitch(up)
         forward = from_vehicle_frame(attitude, inverse, wp.vec3(1.0, 0.0, 0.0))
         wanted = from_vehicle_frame(attitude, inverse, wp.vec3(action[0], action[1], action[2]))
@@ -206,7 +207,7 @@ def make_wish(law: str, filters: "Px4Filters", timing: Timing, first: int) -> wp
         gains: Px4Rows, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3,
         action: wp.vec4, arrays: LawArrays, env: int, since: int, dt: float,
     ) -> wp.vec4:  # fmt: skip
-        forward = from_vehicle_frame(attitude, inverse_cos_pitch(up_of(attitude)), wp.vec3(1.0, 0.0, 0.0))
+        forward = from_vehicle_frame(attitude, inverse_cos_pitch(world_up(attitude)), wp.vec3(1.0, 0.0, 0.0))
         yaw = wp.atan2(forward[1], forward[0])
         turn = wp.quat_from_axis_angle(wp.vec3(0.0, 0.0, 1.0), yaw)
         pitched = turn * wp.quat_from_axis_angle(wp.vec3(0.0, 1.0, 0.0), action[2])
