@@ -6,11 +6,12 @@ from math import cos, log2, sin
 import pytest
 import torch
 
+from aerial_gym.physics.articulated.dynamics import kinetic_energy, momenta
 from aerial_gym.physics.articulated.joint_laws import Drive
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree, TreeState
 from benchmarks.random_commands import fly
-from tests.physics.articulated.trees import F64
+from tests.physics.articulated.trees import F64, random_links, random_motion, random_tree
 
 
 def test_a_top_gains_what_the_method_gives() -> None:
@@ -53,6 +54,29 @@ def test_a_top_whose_wheel_is_driven_at_its_limit_turns_as_in_closed_form() -> N
         assert state.ang_vel[0, 2].item() == pytest.approx(start - limit / body * span, rel=1e-12)
         off.append((state.ang_vel[:, :2] - expected).norm().item())
     assert log2(off[0] / off[1]) == pytest.approx(2.0, abs=0.1)
+
+
+def test_a_free_tree_keeps_energy_and_momentum_to_order_one_and_better_half_way() -> None:
+    """Both rules of ``implicit_euler``: a drive asking for nothing has no part in the motion, but has rates taken half way."""
+    tree = random_tree(4, 3)
+    links, start = random_links(tree, 16, 5), random_motion(tree, 16, 5)
+    none = torch.zeros(1, 4, dtype=F64)
+    nothing = Drive(stiffness=none, damping=none, position=none, rate=none, effort=none, limit=none + 1.0)
+
+    def off(drive: Drive | None, dt: float) -> list[float]:
+        state = start
+        for _ in range(round(0.1 / dt)):
+            state = implicit_euler(tree, links, (), state, dt, gravity=0.0, drive=drive)
+        pairs = [(kinetic_energy(tree, links, at).unsqueeze(-1), *momenta(tree, links, at)) for at in (state, start)]
+        return [
+            ((a - b).norm(dim=-1) / b.norm(dim=-1)).square().mean().sqrt().item() for a, b in zip(*pairs, strict=True)
+        ]
+
+    at_start, half_way = ([off(drive, dt) for dt in (4e-3, 2e-3)] for drive in (None, nothing))
+    print(f"\nenergy, momentum, angular momentum off at 4 and 2 ms: {at_start}; half way {half_way}")
+    for coarse, fine in (at_start, half_way):
+        assert [log2(a / b) for a, b in zip(coarse, fine, strict=True)] == pytest.approx([1.0] * 3, abs=0.1)
+    assert half_way[1][0] < 0.5 * at_start[1][0]
 
 
 @pytest.mark.slow
