@@ -12,9 +12,9 @@ from pathlib import Path
 from aerial_gym.config.checks import Vec3, require_finite, require_ordered, require_positive
 from aerial_gym.config.collision import BoxCfg, CapsuleCfg, CollisionCfg, CollisionShape, SphereCfg
 from aerial_gym.config.controller import ControlCfg
+from aerial_gym.config.extends import load_extended
 from aerial_gym.config.joint import BASE, JointsCfg
 from aerial_gym.config.learned_residual import LearnedResidualCfg
-from aerial_gym.config.loader import load
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.rotor import ROTOR_TRAITS, RotorCfg
 from aerial_gym.config.sensor_mount import SensorMountCfg, as_mounts, is_file
@@ -346,8 +346,13 @@ class RobotCfg:
 
 
 def load_robot(path: str | Path) -> RobotCfg:
-    """Return the robot in a YAML file; the files of its visual shapes and sensors are taken relative to that file."""
-    cfg, folder = load(RobotCfg, path), Path(path).resolve().parent
+    """Return the robot in a YAML file, which may extend another (``config.extends``); the files of its visual shapes and
+    sensors are taken relative to the file that names them."""
+    return load_extended(RobotCfg, path, family="robots", located=_located)
+
+
+def _located(cfg: RobotCfg, folder: Path) -> RobotCfg:
+    """Return a robot whose files are found from anywhere; they stand relative to a folder."""
     parts = (replace(part, shape=absolute_paths(part.shape, folder)) for part in cfg.visual)
     sensors = (_absolute_sensor(sensor, folder) for sensor in cfg.sensors)
     imu = str(folder / cfg.imu) if cfg.imu is not None and is_file(cfg.imu) else cfg.imu

@@ -9,8 +9,9 @@ from math import inf
 from pathlib import Path
 from typing import TypeVar
 
-from aerial_gym.config import CONFIG_DIR, load
+from aerial_gym.config import CONFIG_DIR
 from aerial_gym.config.checks import MAX_MADE, require_count, require_positive
+from aerial_gym.config.extends import load_extended
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.interop import resolve_device
 
@@ -391,5 +392,5 @@ def settings_for(trainer: str, task: str, *, device: str = "auto") -> Path:
 
 
 def load_settings(path: str | Path) -> TrainingCfg:
-    """Return the training in a YAML file."""
-    return load(TrainingCfg, path)
+    """Return the training in a YAML file, which may extend another (``config.extends``)."""
+    return load_extended(TrainingCfg, path, family="training")

@@ -15,8 +15,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.joints.snakes import RADIUS as ROD
-from aerial_gym.robots.joints.snakes import snake
+from aerial_gym.robots import ROBOTS
 from tests.physics.test_links_seen import DEVICES, DOWN, END, HINGE, LEFT, arm, bending
 
 RADIUS, LENGTH = 0.02, END - HINGE
@@ -136,14 +135,15 @@ def test_links_that_pass_through_each_other_within_a_step_crash(device) -> None:
 
 
 def test_rods_of_a_snake_are_a_side_of_their_square_apart(device) -> None:
-    robot = snake(4, between_links=True)
+    snake = ROBOTS.get("snakey")
+    robot = replace(snake, collision=replace(snake.collision, between_links=True))
     controller = CONTROLLERS.get("no_control")
     manager = EnvManager(
         sim=SIMS.get("base_sim"), env=ENVIRONMENTS.get("empty_env"), robot=robot, controller=controller, num_envs=1,
         device=device, seed=1,
     )  # fmt: skip
     manager.reset()
-    assert manager.gtd["robot_link_clearance"].item() == pytest.approx(1.0 - 2.0 * ROD, abs=1e-5)
+    assert manager.gtd["robot_link_clearance"].item() == pytest.approx(1.0 - 2.0 * 0.02, abs=1e-5)
 
 
 def test_links_without_a_pair_and_shapes_without_a_link_are_refused() -> None:

@@ -1,0 +1,90 @@
+"""Configuration files that build on another: ``extends:`` and the fields that differ.
+
+A base is named as sensors are: a name is a file that comes with the package, a path (``.yaml``) is taken relative to the file
+that names it, and may extend another one. On top of the base mappings are merged, null takes away, and whatever else is said
+replaces what the base says. Of a list whose entries have names, such as joints, a mapping says by name what differs.
+"""
+
+from collections.abc import Callable, Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TypeVar
+
+from aerial_gym.config.loader import CONFIG_DIR, build, read_yaml, shown, to_mapping
+from aerial_gym.config.sensor_mount import is_file
+from aerial_gym.errors import ConfigError
+
+T = TypeVar("T")
+
+
+def load_extended(
+    cls: type[T], path: str | Path, *, family: str, located: Callable[[T, Path], T] = lambda cfg, _: cfg
+) -> T:
+    """Return the dataclass ``cls`` filled from a YAML file and those that it builds on.
+
+    Args:
+        cls: As for ``build``.
+        path: The file.
+        family: Folder of the package in which names are looked up.
+        located: Returns a configuration whose paths, relative to a folder, are found from anywhere.
+
+    Raises:
+        ConfigError: As ``build`` does; if there is no such base, it extends itself, or nothing has a name that is changed.
+    """
+    return _load(cls, Path(path), CONFIG_DIR / family, located, ())
+
+
+def _load(cls: type[T], path: Path, named: Path, located: Callable[[T, Path], T], above: tuple[Path, ...]) -> T:
+    data, itself = read_yaml(path), path.resolve()
+    if itself in above:
+        names = " -> ".join(file.name for file in (*above[above.index(itself) :], itself))
+        raise ConfigError(f"{path}: extends itself ({names})")
+    if "extends" in data:
+        base = _load(cls, _base_of(path, data.pop("extends"), named), named, located, (*above, itself))
+        data = _on_top(to_mapping(base), data, str(path))
+    return located(build(cls, data, where=str(path)), itself.parent)
+
+
+def _base_of(path: Path, name: object, named: Path) -> Path:
+    if not isinstance(name, str):
+        raise ConfigError(f"{path}: extends = {shown(name)}: must be one name, or the path of a .yaml file")
+    if is_file(name):
+        return path.resolve().parent / name
+    known = sorted(file.stem for file in named.glob("*.yaml"))
+    if name in known:
+        return named / f"{name}.yaml"
+    near = get_close_matches(name, known, n=1)
+    hint = f" Did you mean {near[0]!r}?" if near else ""
+    raise ConfigError(
+        f"{path}: extends = {shown(name)}: no file of that name comes with the package.{hint} Known: {', '.join(known)}; "
+        "a file of your own is told by its path, which ends in .yaml"
+    )
+
+
+def _on_top(base: Mapping[str, object], change: Mapping[str, object], where: str) -> dict[str, object]:
+    """Return a mapping with a change on top; neither is touched."""
+    found = {**base}
+    for key, value in change.items():
+        if value is None:
+            found.pop(key, None)
+        else:
+            found[key] = _merged(base.get(key), value, f"{where}: {key}")
+    return found
+
+
+def _merged(base: object, value: object, where: str) -> object:
+    if not isinstance(value, Mapping):
+        return value
+    if isinstance(base, Mapping):
+        return _on_top(base, value, where)
+    return _with_entries(base, value, where) if isinstance(base, list) else value
+
+
+def _with_entries(base: list[object], value: Mapping[str, object], where: str) -> list[object]:
+    """Return a list of entries with names, of which a mapping says by name what differs."""
+    entries = {str(entry.get("name")): entry for entry in base if isinstance(entry, Mapping) and entry.get("name")}
+    if len(entries) < len(base) or not base:
+        raise ConfigError(f"{where}: entries of this list have no names in the base. Give the whole list")
+    if unknown := [name for name in value if name not in entries]:
+        raise ConfigError(f"{where}: the base has nothing named {shown(unknown[0])} here. Names: {', '.join(entries)}")
+    return list(_on_top(entries, value, where).values())
