@@ -145,13 +145,14 @@ class Allocation:
         With an ``actual`` effectiveness it is that of the declared vehicle until ``follow`` is called.
         """
         matrix = allocation_matrix(vehicle, gravity)
+        asked = actuation_of(matrix[0]).asked(matrix)
         low, high = _thrust_limits(vehicle)
         self.vehicle, self.saturation, self.effectiveness = vehicle, saturation, effectiveness
         if is_shared(vehicle.mass):  # a declared vehicle is the same everywhere
-            self.inverse = share_row(pseudo_inverse(matrix[0]), vehicle.num_envs)  # (E, R, 6)
+            self.inverse = share_row(pseudo_inverse(asked[0]), vehicle.num_envs)  # (E, R, 6)
             self.low, self.high = (share_row(limit[0], vehicle.num_envs) for limit in (low, high))
         else:
-            self.inverse, self.low, self.high = pseudo_inverse(matrix), low, high
+            self.inverse, self.low, self.high = pseudo_inverse(asked), low, high
         self._matrix, self._gravity, self._dtype = matrix[0].detach(), gravity, matrix.dtype
         self._actuation: Actuation | None = None
         self._own: tuple[str, ...] = ()

@@ -3,7 +3,7 @@
 Frames: body is x forward, y left, z up. Letters: E environments, R rotors, N independent forces and torques.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import reduce
 
@@ -57,58 +57,61 @@ def _without_round_off(inverse: Tensor, matrix: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Actuation:
-    """The forces and torques that rotors can give independently of each other; the rest of a wrench is not asked of them.
+    """The forces and torques that are asked of rotors: as many as they give independently of each other, by ``PRIORITY``.
 
-    With the rotors of a flat multirotor these are roll, pitch, thrust and yaw; with tilted ones they may be combinations.
+    What comes with these is let happen: the lateral force of tilted rotors, the yaw torque of rotors that turn one way.
     """
 
-    rows: tuple[tuple[float, ...], ...]
-    """From a wrench to these, (N, 6), in the order of ``PRIORITY``."""
+    axes: tuple[int, ...]
+    """Rows of the effectiveness matrix, N of them, in the order of ``PRIORITY``."""
 
     lengths: tuple[float, ...]
-    """Of these rows of the effectiveness matrix."""
+    """Of these rows."""
+
+    def asked(self, matrix: Tensor) -> Tensor:
+        """Return an effectiveness matrix (..., 6, R) with zeros in the rows of which nothing is asked."""
+        kept = torch.zeros(6, 1, dtype=torch.bool, device=matrix.device)
+        kept[list(self.axes)] = True
+        return torch.where(kept, matrix, 0.0)
 
 
 def actuation_of(matrix: Tensor) -> Actuation:
-    """Return what the rotors of one vehicle can give, from its effectiveness matrix (6, R): the range of the matrix.
+    """Return what is asked of the rotors of one vehicle, from its effectiveness matrix (6, R).
 
-    The rows are those of the projection on that range, so that of the same matrix ``right_inverse`` is the pseudo-inverse.
+    An axis is asked for where enough of it, in the range of the matrix, is orthogonal to those that matter more.
     """
     exact = matrix.detach().double()
     left, size, _ = torch.linalg.svd(exact, full_matrices=False)
     span = left[:, size > max(exact.shape) * torch.finfo(torch.float32).eps * size[0]]  # as torch.linalg.pinv has it
-    projection = torch.round(span @ span.T, decimals=12)
-    directions, rows = exact.new_zeros(0, 6), []
+    directions, axes = exact.new_zeros(0, span.shape[1]), []
     for axis in PRIORITY:
-        rest = projection[axis] - directions.T @ (directions @ projection[axis])
+        rest = span[axis] - directions.T @ (directions @ span[axis])
         if rest.norm() > OF_ITS_OWN:
             directions = torch.cat((directions, (rest / rest.norm()).unsqueeze(0)))
-            rows.append(projection[axis])
-    chosen = torch.stack(rows)
-    return Actuation(tuple(map(tuple, chosen.tolist())), tuple((chosen @ exact).norm(dim=-1).tolist()))
+            axes.append(axis)
+    return Actuation(tuple(axes), tuple(exact[axes].norm(dim=-1).tolist()))
 
 
 def right_inverse(matrix: Tensor, actuation: Actuation) -> Tensor:
-    """Return the least thrusts for each force and torque that ``actuation`` knows, (E, R, 6), without round-off.
+    """Return the least thrusts for each force and torque that ``actuation`` asks for, (E, R, 6), without round-off.
 
-    It is the pseudo-inverse of these rows C of the effectiveness matrix B, ``A^+ = A^T (A A^T)^-1`` with ``A = C B``, times C.
-    What rotors that stand or point elsewhere give besides, lateral force of a tilted one, is let happen: what is asked for is
-    given exactly. Where a row depends on those before it, nothing is asked of it.
+    It is the pseudo-inverse of these rows A of the effectiveness matrix, ``A^+ = A^T (A A^T)^-1``, with zeros for the others:
+    what is asked for is given exactly. Where a row depends on those before it, nothing is asked of it.
 
     Plain arithmetic on rows: differentiable, and traced into a kernel. Rows are made orthogonal one after the other (modified
     Gram-Schmidt), ``A = L Q``, so that ``A^+ = Q^T L^-1``.
 
     Args:
         matrix: Control effectiveness of each environment, (E, 6, R).
-        actuation: What the rotors of the nominal vehicle can give.
+        actuation: What is asked of the rotors of the nominal vehicle.
 
     Source:
         Golub, Van Loan (2013), Matrix Computations, 5.2.8 and 5.6: QR of A^T for the least-norm solution.
     """
     directions: list[Tensor] = []
     solved: list[list[Tensor]] = []  # rows of L^-1, (E, 1) each
-    for weights, nominal in zip(actuation.rows, actuation.lengths, strict=True):
-        row = _weighted([matrix[:, axis] for axis in range(6)], weights)
+    for axis, nominal in zip(actuation.axes, actuation.lengths, strict=True):
+        row = matrix[:, axis]
         rest, shares = row, []
         for direction in directions:
             shares.append((rest * direction).sum(-1, keepdim=True))
@@ -122,18 +125,11 @@ def right_inverse(matrix: Tensor, actuation: Actuation) -> Tensor:
         solved.append([torch.where(kept, each / size, 0.0) for each in (*(-each for each in before), unit)])
         directions.append(torch.where(kept, rest / size, 0.0))
     count = len(directions)
-    columns = [_total(solved[j][k] * directions[j] for j in range(k, count)) for k in range(count)]
-    inverse = [_weighted(columns, [row[axis] for row in actuation.rows]) for axis in range(6)]
-    return _without_round_off(torch.stack(inverse, dim=-1), matrix)
+    columns = dict.fromkeys(range(6), torch.zeros_like(matrix[:, 0]))
+    for k, axis in enumerate(actuation.axes):
+        columns[axis] = _total(solved[j][k] * directions[j] for j in range(k, count))
+    return _without_round_off(torch.stack([columns[axis] for axis in range(6)], dim=-1), matrix)
 
 
 def _total(terms: Iterable[Tensor]) -> Tensor:
     return reduce(torch.add, terms)
-
-
-def _weighted(tensors: Sequence[Tensor], weights: Sequence[float]) -> Tensor:
-    """Return the weighted sum without the terms that are zero: a kernel is traced from it."""
-    terms = [
-        tensor if weight == 1.0 else weight * tensor for tensor, weight in zip(tensors, weights, strict=True) if weight
-    ]
-    return _total(terms) if terms else torch.zeros_like(tensors[0])

@@ -5,7 +5,7 @@ pitch where each front rotor gives ``T (cos d + k sin d / L)``; the side force l
 """
 
 from dataclasses import replace
-from math import atan, cos, pi, sin
+from math import atan, cos, pi, sin, tan
 
 import pytest
 import torch
@@ -19,6 +19,7 @@ from aerial_gym.robots.joints.tail_servo import tail_servo
 
 ARM, RATIO, GRAVITY = 0.2460732, 0.025, 9.81
 TRIM = atan(RATIO / ARM)
+YAW = torch.tensor([0.0, 1.5, -2.5])
 LEAN = -atan(sin(TRIM) / (3.0 * cos(TRIM) + 2.0 * RATIO * sin(TRIM) / ARM))
 
 
@@ -36,24 +37,44 @@ def tricopters(controller: str, num_envs: int, backend: str = "auto") -> EnvMana
     return env
 
 
-@pytest.mark.parametrize("backend", ["warp", pytest.param("torch", marks=pytest.mark.slow)])
-def test_a_tricopter_hovers_at_the_heading_that_its_servo_holds(backend: str) -> None:
-    """After 12 s, with steps of the heading both ways: angle of the tail and lean as in balance, at rest.
-
-    A law without an integral is 0.27 m aside: by the side force, and by a roll torque of 0.015 N m that the allocation, which
-    looks for no yaw in rotors that have none, gives away (``aerial-gym check``).
-    """
-    env, servo = tricopters("lee_position_control", 3, backend), tail_servo(ROBOTS.get("tilt_tricopter"), dt=0.01)
-    gtd, yaw, actions = env.gtd, torch.tensor([0.0, 1.5, -2.5]), torch.zeros(3, 5)
-    for _ in range(1200):
-        actions[:, 3] = yaw
-        actions[:, 4] = servo.angle(gtd["robot_orientation"], gtd["robot_body_angvel"], yaw)
+def hover(controller: str, seconds: float, backend: str = "auto") -> EnvManager:
+    """Return tricopters that were told to hover at the origin at three headings, which their servos hold."""
+    env, servo = tricopters(controller, 3, backend), tail_servo(ROBOTS.get("tilt_tricopter"), dt=0.01)
+    gtd, actions = env.gtd, torch.zeros(3, 5)
+    for _ in range(round(100 * seconds)):
+        actions[:, 3] = YAW
+        actions[:, 4] = servo.angle(gtd["robot_orientation"], gtd["robot_body_angvel"], YAW)
         env.step(actions)
     torch.testing.assert_close(gtd["dof_position"][:, 0], torch.full((3,), TRIM), rtol=0.0, atol=1e-3)
     torch.testing.assert_close(gtd["robot_euler_angles"][:, 0], torch.full((3,), LEAN), rtol=0.0, atol=1e-3)
-    torch.testing.assert_close(gtd["robot_euler_angles"][:, 2], yaw, rtol=0.0, atol=2e-3)
+    torch.testing.assert_close(gtd["robot_euler_angles"][:, 2], YAW, rtol=0.0, atol=2e-3)
     assert gtd["robot_linvel"].norm(dim=-1).max() < 5e-3
-    assert gtd["robot_position"].norm(dim=-1).max() < 0.3
+    return env
+
+
+@pytest.mark.parametrize("backend", ["warp", pytest.param("torch", marks=pytest.mark.slow)])
+def test_a_law_without_an_integral_rests_where_its_error_leans_the_vehicle(backend: str) -> None:
+    """After 12 s, with steps of the heading both ways: angle of the tail and lean as in balance, at rest.
+
+    To the right of its place, in its own axes, by ``-y = g tan(lean) / kp``, as lean is asked for by distance alone; and before
+    it: with a third of the weight T from each rotor the torque about y, ``T (L (cos d - 1) + k sin d)``, is that of an attitude
+    error, ``K e``, and that of a distance ``x = g e / kp``.
+    """
+    env = hover("lee_position_control", 12.0, backend)
+    gains = env.robot_manager.controller.gains
+    place, attitude = float(gains.position[0, 0]), float(gains.attitude[0, 1])
+    torque = 1.592 * GRAVITY / 3.0 * (ARM * (cos(TRIM) - 1.0) + RATIO * sin(TRIM))
+    x, y = GRAVITY * torque / attitude / place, GRAVITY * tan(LEAN) / place
+    expected = torch.stack((x * YAW.cos() - y * YAW.sin(), x * YAW.sin() + y * YAW.cos()), dim=-1)
+    torch.testing.assert_close(env.gtd["robot_position"][:, :2], expected, rtol=0.0, atol=2e-3)
+    assert -0.2 < y < -0.19
+
+
+@pytest.mark.slow
+def test_an_integral_takes_the_tricopter_to_its_place() -> None:
+    """PX4's cascade leans it by its integral of velocity: what is left falls to less than a fifth in 10 s."""
+    env = hover("px4_position_control", 30.0)
+    assert env.gtd["robot_position"].norm(dim=-1).max() < 0.005
 
 
 @pytest.mark.parametrize("angle", [0.4, -0.4])
