@@ -54,6 +54,16 @@ def test_a_drawn_flight_ends_where_its_episode_does() -> None:
     assert int(height[:, -1].isnan().sum()) < 3  # the last one is in flight in the last row
 
 
+@pytest.mark.slow
+def test_reversible_rotors_hover_upside_down(capsys: pytest.CaptureFixture[str]) -> None:
+    """Body z points down, and all rotors turn backwards at the speed of hover, ``sqrt(m g / 4 k)`` = 1326 rad/s."""
+    runpy.run_path(str(EXAMPLES / "upside_down.py"), run_name="__main__")
+    up, away, speed = (float(number) for number in re.findall(r"-?[\d.]+", capsys.readouterr().out))
+    assert up < -0.999
+    assert away < 0.01
+    assert speed == pytest.approx(-1326.0, abs=5.0)
+
+
 SOFT = ("morphy", "morphy_stiff")
 
 Told = Callable[..., list[tuple[str, list[float]]]]
