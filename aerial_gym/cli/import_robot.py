@@ -25,7 +25,7 @@ class ImportRobotCmd:
     """1 or -1 for each rotor, in the order of the file and in place of what it says: 1 turns positively about the thrust."""
 
     lag_s: float | None = None
-    """First-order lag of thrusts that follow at once in the file [s]."""
+    """First-order lag of thrusts that follow at once in the file, and of rotors in `properties` of a URDF [s]."""
 
     rotor_links: str | None = None
     """Regular expression of links that are rotors, in a URDF without motors; names with motor, rotor or prop if not given."""

@@ -33,7 +33,7 @@ class RotorHints:
     """+1 or -1 for each rotor in the order of the file, in place of what it says."""
 
     lag: float | None = None
-    """Of thrusts that follow at once in the file [s]."""
+    """Of thrusts that follow at once in the file [s], and of rotors that ``properties`` of a URDF describe."""
 
     rotor_links: str = ROTOR_LINKS
     """Regular expression of links of a URDF without motors that are rotors."""
@@ -103,7 +103,9 @@ def _found(path: Path, hints: RotorHints) -> tuple[str, Found]:
     if path.suffix == ".xacro" or "xacro" in "".join(child.tag for child in root):
         raise ConfigError(f"{path}: is a xacro. Expand it first: xacro {path.name} > robot.urdf")
     if root.tag == "robot":
-        return "URDF", urdf.read(path, hints.rotor_links, joints=hints.joints)
+        return "URDF", urdf.read(
+            path, hints.rotor_links, hints.lag, take_properties=hints.rotors_of is None, joints=hints.joints
+        )
     if root.tag == "mujoco":
         return "MJCF", mjcf.read(path, hints.lag, take_actuators=hints.rotors_of is None, joints=hints.joints)
     if root.tag == "sdf" and hints.joints:

@@ -1,7 +1,11 @@
-"""URDF files: links as one body, rotors from motor plugins for Gazebo or from links that are named like rotors."""
+"""URDF files: links as one body, rotors from motor plugins for Gazebo or from links that are named like rotors.
+
+The type of the latter is that of another robot, or what an element ``properties`` says of them.
+"""
 
 import re
 from dataclasses import replace
+from math import pi
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
@@ -10,8 +14,9 @@ import numpy as np
 
 from aerial_gym.assets.urdf import link_poses, load_urdf, read_urdf
 from aerial_gym.assets.urdf_body import urdf_body
-from aerial_gym.config.robot import CollisionShape
+from aerial_gym.config.robot import CollisionShape, RotorCfg
 from aerial_gym.config.shape import BASE, FIRST_INSTANCE_ID, PartCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots.importers.found import Found, FoundRotor, numbers
 from aerial_gym.robots.importers.joints import FoundJoint, Weight, carriers_of, layout_of
@@ -23,12 +28,15 @@ if TYPE_CHECKING:
     from yourdfpy.urdf import Joint
 
 
-def read(path: Path, rotor_links: str, *, joints: bool = False) -> Found:
+def read(path: Path, rotor_links: str, lag: float | None, *, take_properties: bool, joints: bool = False) -> Found:
     """Return the vehicle of a URDF file.
 
     Args:
         path: The file, expanded if it was a xacro.
-        rotor_links: Regular expression of names of links at whose origins rotors push along z, for files without motors.
+        rotor_links: Regular expression of names of links at whose centres of mass (at whose origins, where the file gives
+            none) rotors push along z, for files without motors.
+        lag: Of the rotors that ``properties`` describe [s]; None refuses them.
+        take_properties: Whether to read what ``properties`` say of rotors.
         joints: Whether revolute, continuous and prismatic joints move, but those of rotors and those that mimic another.
     """
     body, robot = urdf_body(path), read_urdf(path)
@@ -41,7 +49,11 @@ def read(path: Path, rotor_links: str, *, joints: bool = False) -> Found:
     moving, on, notes = _moving(robot, poses, spun, where) if joints else ([], dict.fromkeys(poses, BASE), [])
     layout, shapes = layout_of(moving), _shapes(path, list(robot.link_map), on)
     if not motors:
-        rotors = [FoundRotor(name=n, position=poses[n][:3, 3], axis=poses[n][:3, 2], link=on[n]) for n in names]
+        kind = _described(root, body.mass, len(names), lag, where) if names and take_properties else None
+        rotors = [
+            FoundRotor(name=n, position=_hub(robot, n, poses[n]), axis=poses[n][:3, 2], rotor=kind, link=on[n])
+            for n in names
+        ]
         return Found(body=body, rotors=rotors, shapes=shapes, joints=layout, notes=tuple(notes))
     axes = {}
     for joint in root.iter("joint"):
@@ -72,6 +84,36 @@ def read(path: Path, rotor_links: str, *, joints: bool = False) -> Found:
         joints=layout,
         effects=sideways_effects(motors),
         notes=(*notes_on(motors), *notes),
+    )
+
+
+def _hub(robot: "URDF", link: str, pose: np.ndarray) -> np.ndarray:
+    """Return the centre of mass of a link [m], (3,): simulators push there, and some files place rotors by it alone."""
+    inertial = robot.link_map[link].inertial
+    return (pose if inertial is None or inertial.origin is None else pose @ inertial.origin)[:3, 3]
+
+
+def _described(root: ElementTree.Element, mass: float, count: int, lag: float | None, where: str) -> RotorCfg | None:
+    """Return the rotor type in the element ``properties`` of gym-pybullet-drones, or None if there is none.
+
+    ``kf`` [N/rpm²], ``km`` [N m/rpm²], and ``thrust2weight``, the thrust of all rotors per weight.
+    """
+    found = root.find("properties")
+    if found is None or any(found.get(name) is None for name in ("kf", "km", "thrust2weight")):
+        return None
+    if lag is None:
+        raise ConfigError(
+            f"{where}: its properties tell thrust and torque of rotors, and no lag. Give one (--lag-s, lag of RotorHints), "
+            "measured or that of a similar motor: 0.02 to 0.1 s"
+        )
+    kf, km, ratio = (numbers(found.get(n), 1, f"{where}: properties")[0] for n in ("kf", "km", "thrust2weight"))
+    return RotorCfg(
+        thrust_map=(0.0, 0.0, kf * (30.0 / pi) ** 2),
+        torque_ratio=km / kf,
+        time_constant_up=lag,
+        time_constant_down=lag,
+        thrust_range=(0.0, ratio * mass * STANDARD_GRAVITY / count),
+        source=f"{where}, properties: kf, km, thrust2weight; lag of {lag:g} s: given when it was imported",
     )
 
 

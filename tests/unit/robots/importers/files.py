@@ -1,6 +1,7 @@
 """Small files with the numbers of public vehicles, without their meshes, sensors and pictures.
 
 - ``X2``: skydio_x2/x2.xml, ``CF2``: bitcraze_crazyflie_2/cf2.xml of MuJoCo Menagerie (Zakka et al., 2022);
+- ``cf2x()``: gym_pybullet_drones/assets/cf2x.urdf of gym-pybullet-drones (Panerati et al., 2021, Learning to fly), MIT;
 - ``X500``: models x500_base and x500 of PX4-gazebo-models; ``IRIS``: models/iris of PX4-SITL_gazebo-classic.
 """
 
@@ -101,3 +102,20 @@ def write(folder: Path, **models: str) -> Path:
         path.parent.mkdir(exist_ok=True)
         path.write_text(text, encoding="utf-8")
     return path
+
+
+def cf2x() -> str:
+    """Return a Crazyflie in an X: a base, four propellers without mass that stand where their inertial frames do, and a link
+    that marks the centre of mass."""
+    nothing = '<mass value="0"/><inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>'
+    own = '<mass value="0.027"/><inertia ixx="1.4e-5" ixy="0" ixz="0" iyy="1.4e-5" iyz="0" izz="2.17e-5"/>'
+    shape = '<collision><geometry><cylinder radius="0.06" length="0.025"/></geometry></collision>'
+    places = {f"prop{i}": xy for i, xy in enumerate(("0.028 0.028", "-0.028 0.028", "-0.028 -0.028", "0.028 -0.028"))}
+    massless = "".join(
+        f'<link name="{name}_link"><inertial><origin xyz="{xy} 0"/>{nothing}</inertial></link><joint name="{name}_joint" '
+        f'type="fixed"><parent link="base_link"/><child link="{name}_link"/></joint>'
+        for name, xy in {**places, "center_of_mass": "0 0"}.items()
+    )
+    numbers = 'arm="0.0397" kf="3.16e-10" km="7.94e-12" thrust2weight="2.25" drag_coeff="1" gnd_eff_coeff="1"'
+    base = f'<link name="base_link"><inertial>{own}</inertial>{shape}</link>'
+    return f'<robot name="cf2"><properties {numbers}/>{base}{massless}</robot>'

@@ -12,7 +12,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.check import check_robot
 from aerial_gym.robots.importers import RotorHints, import_robot
-from tests.unit.robots.importers.files import CF2, IRIS_MOTOR, PLACES, X2, inertial, iris, motor, write, x500
+from tests.unit.robots.importers.files import CF2, IRIS_MOTOR, PLACES, X2, cf2x, inertial, iris, motor, write, x500
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed: pip install 'aerial-gym[urdf]'")
 
@@ -157,6 +157,37 @@ def test_links_of_a_urdf_take_the_rotor_type_of_another_robot(tmp_path: Path) ->
     assert robot.mounts.layout == like.mounts.layout
     ring = 4 * 0.013 * 0.16**2
     assert moments(robot) == pytest.approx([1e-3 + ring, 1e-3 + ring, 1e-3 + 2 * ring])
+
+
+def test_cf2x_of_gym_pybullet_drones(tmp_path: Path) -> None:
+    """As published: 27 g, 0.0397 m from the middle to a rotor, 14,476 rpm at hover (theirs, with g = 9.8: 14,468), 21,714 at
+    most."""
+    found = import_robot(put(tmp_path, cf2x()), RotorHints(spins=(1, -1, 1, -1), lag=0.05))
+    robot = found.robot
+    assert robot.body.mass == 0.027
+    assert moments(robot) == pytest.approx([1.4e-5, 1.4e-5, 2.17e-5])
+    places = [mount.position for mount in robot.mounts.layout]
+    assert [np.hypot(x, y) for x, y, _ in places] == pytest.approx([0.0397] * 4, rel=3e-3)
+    assert places[2] == pytest.approx((-0.028, -0.028, 0.0))
+    rotor = robot.the_rotor("a test")
+    rpm = 30.0 / np.pi
+    assert rotor.speed_at(0.25 * 0.027 * 9.8) * rpm == pytest.approx(14468.4, abs=0.1)
+    assert rotor.speed_at(0.25 * 0.027 * 9.81) * rpm == pytest.approx(14475.8, abs=0.1)
+    assert rotor.speed_at(rotor.thrust_range[1]) * rpm == pytest.approx(1.5 * 14475.8, abs=0.2)
+    assert rotor.torque_ratio == pytest.approx(7.94 / 316.0)
+    report = check_robot(robot, name="cf2x", controllers=())
+    assert report.rank == 4
+    assert report.thrust_to_weight == pytest.approx(2.25)
+
+
+def test_properties_without_a_lag_are_refused(tmp_path: Path) -> None:
+    path, spins = put(tmp_path, cf2x()), (1, -1, 1, -1)
+    with pytest.raises(
+        ConfigError, match="its properties tell thrust and torque of rotors, and no lag. Give one .--lag-s"
+    ):
+        import_robot(path, RotorHints(spins=spins))
+    like = ROBOTS.get("crazyflie_21")
+    assert import_robot(path, RotorHints(spins=spins, rotors_of=like)).robot.rotor == like.rotor
 
 
 def test_motor_plugins_in_a_urdf_are_read(tmp_path: Path) -> None:
