@@ -2,12 +2,13 @@
 
 They fly side by side in one simulation of 10 s. Environment 0 starts at rest and is given a step; the next hovers in wind; the
 next is given the step, and for the first half second everything upwards that the rotors have; the others start as a reset draws
-them (seed 0) and are told to rest. Backend `warp` on the CPU; the seed decides every number.
+them (seed 0) and are told to rest. Drives of joints hold the reference pose, and that of a tail on a servo the heading.
+Backend `warp` on the CPU; the seed decides every number.
 Letters: E environments, R rotors.
 """
 
 from dataclasses import dataclass, replace
-from math import nan
+from math import inf, isfinite, nan
 
 import torch
 from torch import Tensor
@@ -24,6 +25,7 @@ from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import state_for_thrust
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.robots import ROBOTS
+from aerial_gym.robots.joints.tail_servo import tail_servo
 
 GRAVITY = 9.81
 """That of every registered sim [m/s²]."""
@@ -116,17 +118,29 @@ class Flight:
     """To the step, as a share of it, at each sample."""
 
 
-def different_robots() -> dict[str, RobotCfg]:
-    """Return the registered rigid robots that fly differently, by the first name of each."""
+def different_robots(*, bend: bool = False) -> dict[str, RobotCfg]:
+    """Return the registered robots that fly differently, by the first name of each: rigid ones, or those that bend.
+
+    Robots on a stand do not fly.
+    """
     found: dict[str, RobotCfg] = {}
     for name in ROBOTS:
         robot = ROBOTS.get(name)
-        flies = (robot.body, robot.rotor, robot.mounts, robot.control.buoyancy)
-        if robot.joints is None and all(
-            flies != (r.body, r.rotor, r.mounts, r.control.buoyancy) for r in found.values()
-        ):
+        chosen = robot.joints is not None and robot.joints.floating if bend else robot.joints is None
+        if chosen and _flight_of(robot) not in map(_flight_of, found.values()):
             found[name] = robot
     return found
+
+
+def _flight_of(robot: RobotCfg) -> tuple[object, ...]:
+    """Return what of a robot decides how it flies."""
+    return robot.body, robot.rotor, robot.mounts, robot.joints, robot.control.buoyancy
+
+
+def holds_shape(robot: RobotCfg) -> bool:
+    """Return whether every drive of a robot is told an angle: without a law for its joints the others hold none."""
+    layout = () if robot.joints is None else robot.joints.layout
+    return all(joint.drive is None or joint.drive.mode == "position" for joint in layout)
 
 
 def geometric_controllers() -> dict[str, ControllerCfg]:
@@ -184,6 +198,7 @@ def fly(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names: tuple
     _begin(gtd, robot, in_air=in_air)
     env.robot_manager.refresh_model()
     actions = torch.zeros_like(gtd["robot_actions"])
+    drives = Drives(robot, sim.dt)
     channel = {"attitude": 1, "rates": 3 if can_turn[2] else 1}.get(law, 0)
     upwards = 0 if law in ("attitude", "rates") else 2
     actions[[STEP, AT_LIMITS], channel] = STEPS[law]
@@ -192,6 +207,7 @@ def fly(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names: tuple
     before, errors, responses, tilts, at_limit = gtd["robot_linvel"].clone(), [], [], [], []
     for sample in range(round(SPAN / SAMPLE)):
         actions[AT_LIMITS, upwards] = CLIMB if sample < round(FULL / SAMPLE) else 0.0
+        drives.hold(gtd, actions)
         env.step(actions)
         acceleration = (gtd["robot_linvel"] - before) / SAMPLE
         before = gtd["robot_linvel"].clone()
@@ -217,6 +233,25 @@ def fly(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names: tuple
         limit_settling_s=limit_settled, limit_overshoot=limit_overshoot, limit_error=float(error[-1, AT_LIMITS]),
         response=tuple(response[:, STEP].tolist()),
     )  # fmt: skip
+
+
+class Drives:
+    """Commands of drives, behind those of the law: the reference pose, and of a tail on a servo what holds the heading."""
+
+    def __init__(self, robot: RobotCfg, dt: float) -> None:
+        joints = () if robot.joints is None else robot.joints.layout
+        self._held = torch.tensor([joint.reference for joint in joints if joint.drive is not None])
+        try:
+            self._servo = tail_servo(robot, dt=dt)
+        except ConfigError:  # no tail on a servo
+            self._servo = None
+
+    def hold(self, gtd: GlobalTensorDictionary, actions: Tensor) -> None:
+        """Write the commands of a step into the actions."""
+        if self._servo is not None:
+            ahead = torch.zeros(len(actions))
+            self._held = self._servo.angle(gtd["robot_orientation"], gtd["robot_body_angvel"], ahead).unsqueeze(-1)
+        actions[:, actions.shape[1] - self._held.shape[-1] :] = self._held
 
 
 def _with_drag(robot: RobotCfg) -> RobotCfg:
@@ -273,8 +308,13 @@ def _tilt(attitude: Tensor) -> Tensor:
 
 
 def figures(response: list[float]) -> tuple[float, float]:
-    """Return settling time [s] and overshoot of a response to a unit step, sampled from ``SAMPLE`` on."""
+    """Return settling time [s] and overshoot of a response to a unit step, sampled from ``SAMPLE`` on.
+
+    Both are infinite where there is NaN in it.
+    """
+    if not all(map(isfinite, response)):
+        return inf, inf
     outside = [i for i, value in enumerate(response) if abs(value - 1.0) > SETTLED]
     last = outside[-1] + 1 if outside else 0
-    settling = (last + 1) * SAMPLE if last < len(response) else float("inf")
+    settling = (last + 1) * SAMPLE if last < len(response) else inf
     return settling, max(max(response) - 1.0, 0.0)

@@ -9,7 +9,17 @@ import pytest
 
 from benchmarks import control_table
 from benchmarks.control_flights import Flight
-from benchmarks.control_table import BEGIN, END, Refusal, fly_all, foreign_table, refusals_table, sims_table, table
+from benchmarks.control_table import (
+    BEGIN,
+    END,
+    Refusal,
+    fly_all,
+    foreign_table,
+    refusals_table,
+    sims_table,
+    table,
+    wind_table,
+)
 
 FLIGHT = Flight(
     robot="magpie", controller="magpie_position_control", law="position", sim="base_sim", error=0.0058, settling_s=4.7,
@@ -52,6 +62,20 @@ def test_sims_are_compared_over_the_robots_of_a_controller() -> None:
     assert "| `lee_position_control` | 3: 3 s, 2% | 1: 2 s, 0%, 1 lost | - |" in sims_table([*others, lost])
 
 
+def test_the_error_in_wind_stays_or_falls_by_controller() -> None:
+    law = replace(FLIGHT, controller="lee_position_control", wind_error=0.49, wind_largest=0.5)
+    falls = replace(law, controller="px4_position_control", wind_error=0.1)
+    rows = wind_table([law, replace(law, robot="lmf2", wind_error=0.45), replace(law, law="rates"), falls, wet(law)])
+    assert rows.splitlines()[2:] == [
+        "| `lee_position_control` | 2 | 94%: it stays | 90% (`lmf2`) |",
+        "| `px4_position_control` | 1 | 20% | 20% (`magpie`) |",
+    ]
+
+
+def wet(flight: Flight) -> Flight:
+    return replace(flight, wind_error=nan, wind_largest=nan)
+
+
 def test_what_is_refused_is_not_flown() -> None:
     flights, refusals = fly_all(["base_rov"], ["lee_position_control"])
     assert flights == []
@@ -64,14 +88,21 @@ def test_the_page_is_written_between_its_marks(
 ) -> None:
     path = tmp_path / "control.md"
     path.write_text(f"before\n{BEGIN}\nof before\n{END}\nafter\n", encoding="utf-8")
-    monkeypatch.setattr(control_table, "fly_all", lambda *given: ([FLIGHT], []))
+    bent = replace(FLIGHT, robot="morphy", controller="lee_position_control", error=nan, overshoot=inf)
+    refused = Refusal("morphy", "fully_actuated_control", "base_sim", "law ...")
+    monkeypatch.setattr(
+        control_table, "fly_all", lambda _robots, _laws, sims=None: ([bent], [refused]) if sims else ([FLIGHT], [])
+    )
     monkeypatch.setattr("sys.argv", ["control_table", "--json", "--write", str(path), "--out", str(tmp_path)])
     control_table.main()
     text = path.read_text(encoding="utf-8")
-    assert text.startswith(f"before\n{BEGIN}\n1 flights; ")
+    assert text.startswith(f"before\n{BEGIN}\n2 flights; ")
     assert text.endswith(f"{END}\nafter\n")
     assert "`magpie_*` of `magpie`" in text
     assert "of before" not in text
-    row = json.loads(capsys.readouterr().out)
+    assert "| `morphy` | `lee_position_control` | nan m | **lost** |" in text
+    assert "Not flown: `morphy_fixed_base`, whose base is on a stand; `snakey`, `snakey_effort`, `snakey5`," in text
+    assert "- `fully_actuated_control`: `morphy`" in text
+    row = json.loads(capsys.readouterr().out.partition("\n")[0])
     assert (row["limit_error"], row["limit_settling_s"]) == (180.0, None)
     assert (tmp_path / "control_steps.png").stat().st_size > 10_000
