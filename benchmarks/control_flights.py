@@ -85,7 +85,7 @@ class Flight:
     law: str
     sim: str
     error: float
-    """Largest of the drawn starts after 10 s, in ``UNITS``, over what the law controls."""
+    """Largest of the drawn starts after 10 s, in ``UNITS``, over what the law controls; infinite where it ended in NaN."""
 
     settling_s: float
     """Until the step stays within 2 %; infinite if it does not."""
@@ -220,7 +220,7 @@ def fly(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names: tuple
         margin = NEAR_LIMIT * (high - low)
         speed = gtd["rotor_speed"][AT_LIMITS]
         at_limit.append(bool(((speed < low + margin) | (speed > high - margin)).any()))
-    error, response = torch.stack(errors), torch.stack(responses)
+    error, response = torch.stack(errors).nan_to_num(nan=inf), torch.stack(responses)
     settled, overshoot = figures(response[:, STEP].tolist())
     limit_settled, limit_overshoot = figures(response[:, AT_LIMITS].tolist())
     return Flight(

@@ -59,8 +59,9 @@ def _steps(report: RobotReport) -> str:
         return "-"
     worst, rigid = min(fitting, key=lambda step: step.largest_s or 0.0), ROBOTS.get(report.name).joints is None
     if worst.largest_s is None:
-        return f"none (`{worst.controller}`)"
-    largest = "100 ms or more" if worst.at_least else f"{1e3 * worst.largest_s:.3g} ms (`{worst.controller}`)"
+        largest = f"none (`{worst.controller}`)"
+    else:
+        largest = "100 ms or more" if worst.at_least else f"{1e3 * worst.largest_s:.3g} ms (`{worst.controller}`)"
     return largest if rigid else f"held rigid: {largest}"
 
 

@@ -88,7 +88,7 @@ def test_the_page_is_written_between_its_marks(
 ) -> None:
     path = tmp_path / "control.md"
     path.write_text(f"before\n{BEGIN}\nof before\n{END}\nafter\n", encoding="utf-8")
-    bent = replace(FLIGHT, robot="morphy", controller="lee_position_control", error=nan, overshoot=inf)
+    bent = replace(FLIGHT, robot="morphy", controller="lee_position_control", error=inf, overshoot=inf)
     refused = Refusal("morphy", "fully_actuated_control", "base_sim", "law ...")
     monkeypatch.setattr(
         control_table, "fly_all", lambda _robots, _laws, sims=None: ([bent], [refused]) if sims else ([FLIGHT], [])
@@ -100,7 +100,7 @@ def test_the_page_is_written_between_its_marks(
     assert text.endswith(f"{END}\nafter\n")
     assert "`magpie_*` of `magpie`" in text
     assert "of before" not in text
-    assert "| `morphy` | `lee_position_control` | nan m | **lost** |" in text
+    assert "| `morphy` | `lee_position_control` | inf m | **lost** |" in text
     assert "Not flown: `morphy_fixed_base`, whose base is on a stand; `snakey`, `snakey_effort`, `snakey5`," in text
     assert "- `fully_actuated_control`: `morphy`" in text
     row = json.loads(capsys.readouterr().out.partition("\n")[0])
