@@ -96,6 +96,7 @@ def learner_of(cfg: TrainingCfg, task: Task) -> Apg:
     return learner
 
 
+@pytest.mark.slow
 def test_the_slow_critic_judges_and_follows() -> None:
     """It gives the values of the ends of windows, and takes over its share of what the critic has become."""
     cfg = settings(16, target_share=0.25, terminal_value=True)
