@@ -1,7 +1,7 @@
 """A cubic spline through the rows of several flights, none of which feels another: what was sampled, at other times.
 
-Of one flight it is ``scipy.interpolate.CubicSpline``. All flights at once, with the equations of their rows solved for once,
-take a fifth of the time, and a prediction asks for it again and again with other values.
+Of one flight it is ``scipy.interpolate.CubicSpline``. A prediction asks for it again and again with other values at the same
+rows: all flights at once, with the equations of their rows factorised once, took 0.4 ms in place of 3.5 for five flights.
 """
 
 from collections.abc import Sequence
@@ -15,8 +15,8 @@ from scipy.sparse.linalg import splu
 
 Array = NDArray[np.float64]
 
-MOMENTS_KEPT = 8
-"""Delays whose moments are kept: those of sensors about which a model is linear, and one that differs."""
+DELAYS_KEPT = 8
+"""Sets of delays of which the spline is kept: those of the sensors of the present model, and of one that differs in some."""
 
 
 class Spline:
@@ -26,7 +26,7 @@ class Spline:
         """Take the times of the rows of each flight [s], increasing, (rows,)."""
         self._times = times
         self._solve = splu(csc_array(block_diag([_terms(time, time) for time in times], format="csc"))).solve
-        self._moved = lru_cache(MOMENTS_KEPT)(self._terms_later)
+        self._moved = lru_cache(DELAYS_KEPT)(self._terms_later)
 
     def later(self, columns: Sequence[Array], seconds: Sequence[float]) -> list[Array]:
         """Return columns (rows of all flights,) as they are so many seconds later in each flight."""
