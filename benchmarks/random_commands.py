@@ -48,12 +48,12 @@ def fly(
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--robots", nargs="+", default=SNAKES)
+    parser.add_argument("--robots", nargs="+", choices=SNAKES, default=SNAKES, metavar="ROBOT", help=", ".join(SNAKES))
     parser.add_argument("--dt-ms", nargs="+", type=float, default=[2.0, 4.0, 10.0])
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1])
     parser.add_argument("--num-envs", type=int, default=256)
     parser.add_argument("--seconds", type=float, default=5.0)
-    parser.add_argument("--backend", default="warp")
+    parser.add_argument("--backend", choices=("warp", "torch", "mujoco"), default="warp")
     args = parser.parse_args()
     for name in args.robots:
         for dt in args.dt_ms:
