@@ -1,6 +1,6 @@
 """Row i of a batch of the torch backend is bit for bit what it is in every other batch, float32 and float64, on any thread."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import pytest
@@ -11,6 +11,7 @@ from aerial_gym.control import CONTROLLERS
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import EFFECTS, BodyState, TorchBackend
 from aerial_gym.physics.effects import LearnedResidual
+from aerial_gym.physics.effects.base import sum_of_crosses, velocity_of_turning
 from aerial_gym.robots import ROBOTS
 from tests.cross.test_backends import DT, actions_for, build, scale_by_env, start_of
 from tests.physics.vehicles import lopsided_robot, random_network
@@ -86,3 +87,14 @@ def test_with_a_learned_residual() -> None:
 @pytest.mark.parametrize("robot", ["tinyprop", "omnidirectional_octarotor"])
 def test_with_a_vehicle_of_its_own_in_each_environment(robot: str) -> None:
     assert_rows_alike(ROBOTS.get(robot), "rotor_speed_control", torch.float32, adjust=scale_by_env)
+
+
+@pytest.mark.parametrize("cross", [sum_of_crosses, lambda ang_vel, lever: velocity_of_turning(ang_vel[:, 0], lever)])
+def test_one_environment_with_hubs_of_its_own_is_no_shared_row(
+    cross: Callable[[torch.Tensor, torch.Tensor], torch.Tensor],
+) -> None:
+    """Crosses with hubs that all share are added up in another order than others."""
+    vectors, hubs = torch.randn(2, 4096, 4, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(5))
+    together = cross(vectors, hubs)
+    for row in range(0, 4096, 64):
+        assert torch.equal(cross(vectors[row : row + 1], hubs[row : row + 1]), together[row : row + 1])

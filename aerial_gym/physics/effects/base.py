@@ -23,7 +23,7 @@ from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.math.rows import times
 from aerial_gym.math.short import dot, sum_slices
 from aerial_gym.physics.effects.track import Track
-from aerial_gym.physics.vehicle import Vehicle, is_shared
+from aerial_gym.physics.vehicle import Vehicle, is_shared, share_row
 
 RotorTrait = Literal["reversible", "force", "slew", "dead_band"]
 """Of ``config.rotor.ROTOR_TRAITS``."""
@@ -101,8 +101,9 @@ class Condition:
     def lever(self) -> Tensor:
         """Hubs from the centre of mass [m], body, (E, R, 3); (1, R, 3) where all environments have the same."""
         hubs, com = self.vehicle.rotor_position, self.vehicle.com
-        same = is_shared(hubs) and is_shared(com)
-        return (hubs[:1] if same else hubs) - (com[:1] if same else com).unsqueeze(1)
+        if is_shared(hubs) and is_shared(com):
+            return share_row(hubs[0] - com[0], 1)
+        return hubs - com.unsqueeze(1)
 
     @cached_property
     def axis(self) -> Tensor:
@@ -113,7 +114,7 @@ class Condition:
     @cached_property
     def hub_velocity(self) -> Tensor:
         """Velocity of the hubs through the air [m/s], body, (E, R, 3): ``v + w x l``, in the wind at the centre of mass."""
-        return self.air_velocity.unsqueeze(1) + _turn(self.ang_vel, self.lever)
+        return self.air_velocity.unsqueeze(1) + velocity_of_turning(self.ang_vel, self.lever)
 
     @cached_property
     def up(self) -> Tensor:
@@ -182,16 +183,16 @@ class Condition:
 _FROM_MOTION = {name for name, value in vars(Condition).items() if isinstance(value, cached_property)}
 
 
-def _turn(ang_vel: Tensor, lever: Tensor) -> Tensor:
-    """Return ``w x l``, (E, R, 3), for w (E, 3) and l (E, R, 3) or (1, R, 3)."""
-    if lever.shape[0] != 1:
+def velocity_of_turning(ang_vel: Tensor, lever: Tensor) -> Tensor:
+    """Return ``w x l``, (E, R, 3), for w (E, 3) and l (E, R, 3) or, shared, (1, R, 3); a row is the same among any number."""
+    if not is_shared(lever):
         return torch.linalg.cross(ang_vel.unsqueeze(1), lever, dim=-1)
     return times(ang_vel, _unit_turns(lever[0]).transpose(0, 1).reshape(3, -1)).view(-1, lever.shape[1], 3)
 
 
 def sum_of_crosses(vector: Tensor, arm: Tensor) -> Tensor:
-    """Return ``sum_r v_r x a_r``, (E, 3), for vectors v (E, R, 3) and arms a (E, R, 3) or (1, R, 3)."""
-    if arm.shape[0] != 1:
+    """Return ``sum_r v_r x a_r``, (E, 3), for vectors v (E, R, 3) and arms a (E, R, 3) or, shared, (1, R, 3)."""
+    if not is_shared(arm):
         return sum_slices(torch.linalg.cross(vector, arm, dim=-1), 1)
     return times(vector.flatten(1), _unit_turns(arm[0]).reshape(-1, 3))
 
