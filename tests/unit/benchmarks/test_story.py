@@ -12,7 +12,6 @@ from aerial_gym.config import CONFIG_DIR
 from aerial_gym.rl_training.policies.body import BodyCfg
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.task.terms.observations import OBSERVATIONS
-from benchmarks.story.__main__ import ROBOT, TASK
 from benchmarks.story.flying import (
     CONTROL_RATE,
     SETPOINTS,
@@ -22,6 +21,7 @@ from benchmarks.story.flying import (
     setpoints,
     tracking,
 )
+from benchmarks.story.story import ROBOT, TASK
 from benchmarks.story.vehicle import HIDDEN, declared_vehicle, true_vehicle
 from benchmarks.undeclared.nuisance import NO_BIAS
 from benchmarks.undeclared.sensors import Sample

@@ -1,0 +1,159 @@
+"""Train, fly, find what the vehicle's file does not say, train again: ``python -m benchmarks.story --out DIR --device cuda``.
+
+For each seed: a policy of the task of motor commands is trained on the vehicle as declared, flown through setpoints on that
+vehicle and on the true one, logs six flights of the true one, of which ``close-loop`` fits on four and judges on two; and is
+trained again on the robot file that comes out, as it is and with the intervals as what every episode draws (``--ranges``).
+All flights are those of the independent plant, of setpoints that nothing was fitted on. What is there already is not made anew.
+"""
+
+import json
+import shutil
+import subprocess
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+
+import torch
+import yaml
+
+from aerial_gym.config import CONFIG_DIR
+from aerial_gym.rl_training import load_policy, load_settings, settings_for, train
+from benchmarks.story.figure import draw_story
+from benchmarks.story.flying import CONTROL_RATE, distances, fly_setpoints, setpoints, tracking
+from benchmarks.story.vehicle import HIDDEN, declared_vehicle, true_vehicle
+from benchmarks.undeclared.logs import write_log
+from benchmarks.undeclared.nuisance import NO_BIAS
+from benchmarks.undeclared.simulate import Record
+from benchmarks.undeclared.vehicle import Array
+
+TASK = "position_setpoint_task_sim2real_end_to_end"
+ROBOT = CONFIG_DIR / "robots" / "tinyprop.yaml"
+FITTED, JUDGED, SCORED = 4, 2, 1000
+"""Flights that are logged to fit on and to judge on, and flights that a policy is scored on."""
+
+CASES = ("as declared", "true vehicle", "trained again on what was found", "the same with intervals")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Story:
+    """One policy for each seed, from its training to its second and third."""
+
+    out: Path
+    """Folder of everything; what stands there already is kept."""
+
+    seeds: tuple[int, ...] = (16, 26, 36, 46, 56)
+    """Of trainings; the vehicle and the scored setpoints are the same for all."""
+
+    steps: int = 160_000_000
+    """Environment steps of each training: those of the paper."""
+
+    device: str = "auto"
+    """Torch device of the trainings; flights are on the CPU."""
+
+    settings: Path | None = None
+    """Settings of the trainings; those that come with the task if not given."""
+
+    jobs: int = 2
+    """Processes that fly and score policies beside the trainings."""
+
+    vehicle_seed: int = 7
+    """Of the small errors of the declaration, and of the sensors'."""
+
+    def run(self) -> int:
+        """Do all of it, print one line for each flight of a policy, and draw the figure."""
+        with ProcessPoolExecutor(self.jobs, get_context("spawn"), torch.set_num_threads, (1,)) as pool:
+            first, loops, scores = {}, {}, {}
+            for seed in self.seeds:
+                first[seed] = self._train(seed, "declared", ROBOT)
+                loops[seed] = self._begin_loop(seed, first[seed])
+                for case in CASES[:2]:
+                    scores[seed, case] = pool.submit(self._score, first[seed], as_declared=case == CASES[0])
+            for seed in self.seeds:
+                found = self._end_loop(seed, loops[seed])
+                for case, robot in zip(CASES[2:], ("robot", "ranges"), strict=True):
+                    folder = self._train(seed, "found" if robot == "robot" else robot, found[robot])
+                    scores[seed, case] = pool.submit(self._score, folder, as_declared=False)
+            rows = []
+            for seed in self.seeds:
+                for case in CASES:
+                    rows.append({"seed": seed, "case": case, **scores[seed, case].result()})
+                    print(json.dumps({key: value for key, value in rows[-1].items() if key != "trace"}), flush=True)
+        (self.out / "rows.json").write_text(json.dumps(rows))
+        draw_story(rows, self.out / "story.png")
+        return 0
+
+    def _train(self, seed: int, name: str, robot: Path) -> Path:
+        """Return the folder of a policy that was trained on a robot."""
+        folder = self.out / f"seed_{seed}" / name
+        done = folder / "done"
+        if not done.exists():
+            cfg = load_settings(self.settings or settings_for("ppo", TASK, device=self.device))
+            cfg = replace(
+                cfg,
+                task=TASK,
+                robot=str(robot),
+                seed=seed,
+                device=self.device,
+                max_time_s=None,
+                max_env_steps=self.steps,
+            )
+            shutil.rmtree(folder, ignore_errors=True)  # of a training that was cut off
+            train(cfg, folder)
+            done.touch()
+        return folder
+
+    def _score(self, folder: Path, *, as_declared: bool) -> dict[str, object]:
+        """Return how a policy tracks setpoints it has not met, and as ``trace`` the distance over time of the median flight."""
+        kept = folder / ("score_as_declared.json" if as_declared else "score.json")
+        if kept.exists():
+            return json.loads(kept.read_text())
+        points = setpoints(SCORED, seed=1_000_003)
+        record = self._fly(folder, points, seed=1_000_003, as_declared=as_declared)
+        away = distances(record, points)
+        typical = away[:, away.mean(axis=0).argsort()[SCORED // 2]]
+        score = {
+            **asdict(tracking(record, points)),
+            "trace": [float(value) for value in typical[:: CONTROL_RATE // 50]],
+        }
+        kept.write_text(json.dumps(score))
+        return score
+
+    def _fly(self, folder: Path, points: Array, *, seed: int, as_declared: bool = False) -> Record:
+        """Return the flights of a policy through points (P, F, 3)."""
+        policy, _ = load_policy(folder, device="cpu")
+        declared = declared_vehicle(ROBOT)
+        true, bias = (declared, NO_BIAS) if as_declared else true_vehicle(declared, seed=self.vehicle_seed)
+        return fly_setpoints(policy, declared=declared, true=true, bias=bias, points=points, seed=seed)
+
+    def _begin_loop(self, seed: int, policy: Path) -> subprocess.Popen[bytes] | None:
+        """Log flights of a policy and start the loop on them."""
+        folder = self.out / f"seed_{seed}" / "flights"
+        result = folder.with_name("close_loop")
+        if (result / "verdict.json").exists():
+            return None
+        folder.mkdir(parents=True, exist_ok=True)
+        points = setpoints(FITTED + JUDGED, seed=seed)
+        record = self._fly(policy, points, seed=seed)
+        logs = [folder / f"flight_{i + 1}.csv" for i in range(FITTED + JUDGED)]
+        for i, path in enumerate(logs):
+            write_log(path, record, i, first=0, every=1)
+        (folder / "truth.json").write_text(json.dumps(HIDDEN))
+        command = [sys.executable, "-c", "from aerial_gym.cli.main import entry; entry()", "close-loop", "--ranges"]
+        parts = ("--robot", ROBOT, "--train", *logs[:FITTED], "--test", *logs[FITTED:], "--out", result)
+        told = (folder / "close_loop.log").open("wb")
+        return subprocess.Popen([*command, *(str(part) for part in parts)], stdout=told, stderr=told)
+
+    def _end_loop(self, seed: int, loop: "subprocess.Popen[bytes] | None") -> dict[str, Path]:
+        """Return the robot file that the loop wrote, and the same without what an episode draws."""
+        result = self.out / f"seed_{seed}" / "close_loop"
+        if loop is not None and loop.wait():
+            raise RuntimeError((result.parent / "flights" / "close_loop.log").read_text())
+        verdict = json.loads((result / "verdict.json").read_text())
+        print(json.dumps({"seed": seed, "verdict": verdict["verdict"], "effects": verdict["effects"]}), flush=True)
+        document = yaml.safe_load((result / "robot.yaml").read_text())
+        document.pop("randomize", None)
+        plain = result.with_name("robot.yaml")
+        plain.write_text(yaml.safe_dump(document, sort_keys=False))
+        return {"robot": plain, "ranges": result / "robot.yaml"}
