@@ -151,7 +151,8 @@ class Story:
         if loop is not None and loop.wait():
             raise RuntimeError((result.parent / "flights" / "close_loop.log").read_text())
         verdict = json.loads((result / "verdict.json").read_text())
-        print(json.dumps({"seed": seed, "verdict": verdict["verdict"], "effects": verdict["effects"]}), flush=True)
+        found = [{key: effect[key] for key in ("name", "params", "interval")} for effect in verdict["effects"]]
+        print(json.dumps({"seed": seed, "verdict": verdict["verdict"], "effects": found}), flush=True)
         document = yaml.safe_load((result / "robot.yaml").read_text())
         document.pop("randomize", None)
         plain = result.with_name("robot.yaml")
