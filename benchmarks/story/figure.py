@@ -31,7 +31,7 @@ def draw_story(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
         left.plot([place] * len(errors), errors, "o", color=colour, markersize=4)
         lost = max(row["lost"] for row in own)
         left.annotate(
-            f"{median(errors):.3f} m" + (f"\nlost ≤ {lost:.0%}" if lost else ""),
+            f"{median(errors):.3f} m" + (f"\nlost ≤ {lost:.1%}" if lost else ""),
             (place, max(errors)),
             xytext=(0, 5),
             textcoords="offset points",
