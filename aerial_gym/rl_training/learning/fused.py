@@ -1,10 +1,11 @@
 """The learner with networks in kernels of their own, for two small multi-layer perceptrons on a GPU: the same formulas.
 
-Letters: T steps, E environments, O entries of an observation, U entries of an action, P weights, B blocks.
+Letters: T steps, E environments, O entries of what a network sees, U entries of an action, P weights, B blocks.
 """
 
 import importlib.util
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -21,7 +22,7 @@ WIDTHS = (16, 32, 64)
 """Widths of the hidden layers for which a tile of samples fits: 128 asks for 308 kB of shared memory, an H200 has 232."""
 
 MOST_INPUTS = 64
-"""Entries of an observation, likewise."""
+"""Entries of what a network sees, likewise."""
 
 MOST_ACTIONS = 16
 
@@ -32,24 +33,27 @@ for the gradient of 32,768 samples, two hidden layers of 64; 96 to 240 us with o
 BLOCKS_EACH = 2
 """Blocks of the gradient for each multiprocessor: 92 us, with one 100 us."""
 
+POLICY, CRITIC = "policy", "critic"
+"""What each network sees as one vector."""
+
 PRECISION, BACKWARD_PRECISION = "tf32x3", "tf32"
 """Of products: the probability ratio compares two passes forward, so that these are as exact as float32."""
 
 
 def why_not_fused(ppo: PpoCfg, network: ActorCritic, device: torch.device) -> str | None:
     """Return why a network cannot be learned in kernels of its own, or None if it can."""
-    shapes = network.actor.shapes
+    seen = _seen_by(network)
     if device.type != "cuda":
         return "no GPU"
     if importlib.util.find_spec("triton") is None:
         return "the package triton is not installed"
-    if len(shapes) != 1 or network.shapes != shapes or len(next(iter(shapes.values()))) != 1:
-        return "policy and critic do not see one vector"
+    if any(len(shape) != 1 for shapes in seen for shape in shapes.values()):
+        return "policy or critic see more than vectors"
     if ppo.memory or not ppo.separate_value_network:
         return "the networks have a memory, or share layers"
     if len(ppo.hidden_layers) != 2 or len(set(ppo.hidden_layers)) != 1 or ppo.hidden_layers[0] not in WIDTHS:
         return f"the hidden layers are not two of one width among {', '.join(str(width) for width in WIDTHS)}"
-    if next(iter(shapes.values()))[0] > MOST_INPUTS or network.actor.num_actions > MOST_ACTIONS:
+    if max(_num_entries(shapes) for shapes in seen) > MOST_INPUTS or network.actor.num_actions > MOST_ACTIONS:
         return f"there are more than {MOST_INPUTS} observations or {MOST_ACTIONS} actions"
     return None
 
@@ -63,7 +67,8 @@ class FusedPpo(Ppo):
         from aerial_gym.rl_training.learning import kernels
 
         self._kernels, ppo = kernels, self._ppo
-        (self._key, (num_in,)) = next(iter(network.actor.shapes.items()))
+        seen = _seen_by(network)
+        self._keys, self._num_in = [list(shapes) for shapes in seen], [_num_entries(shapes) for shapes in seen]
         assert network.own_body is not None
         self._places = [
             [self._adam.place_of(tensor) for linear in linears for tensor in (linear.weight, linear.bias)]
@@ -74,8 +79,7 @@ class FusedPpo(Ppo):
         ]
         self._log_std = self._adam.place_of(network.actor.log_std)
         self._sizes: dict[str, Any] = {
-            "num_in": num_in,
-            "wide_in": max(16, 1 << (num_in - 1).bit_length()),
+            "wide_in": max(16, 1 << (max(self._num_in) - 1).bit_length()),
             "hidden": ppo.hidden_layers[0],
             "wide_out": MOST_ACTIONS,
             "kind": {"elu": kernels.ELU, "relu": kernels.RELU, "tanh": kernels.TANH}[ppo.activation],
@@ -95,7 +99,8 @@ class FusedPpo(Ppo):
         grid = (-(-samples // FORWARD_TILE["tile"]),)
         self._kernels.forward[grid](
             self._adam.weights, seen, out if noise is None else noise, samples, *self._places[network], self._log_std,
-            out, action, command, num_out=width, draws=noise is not None, **self._sizes, **FORWARD_TILE,
+            out, action, command, num_in=self._num_in[network], num_out=width, draws=noise is not None,
+            **self._sizes, **FORWARD_TILE,
         )  # fmt: skip
         return out, action, command
 
@@ -103,30 +108,52 @@ class FusedPpo(Ppo):
         self, seen: Mapping[str, Tensor], memory: Tensor, begins: Tensor, noise: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         del begins
-        mean, action, command = self._forward(self.network.actor.body.prepare(seen)[self._key], 0, noise)
+        mean, action, command = self._forward(self._vector(self.network.actor.body.prepare(seen), 0), 0, noise)
         return mean, action, command, memory
 
     def _values(
         self, prepared: Mapping[str, Tensor], final: Mapping[str, Tensor], flown: Flown
     ) -> tuple[Tensor, Tensor, Tensor]:
-        values, finals = (self._forward(seen[self._key], 1)[0].squeeze(-1) for seen in (prepared, final))
+        values, finals = (self._forward(self._vector(seen, 1), 1)[0].squeeze(-1) for seen in (prepared, final))
         scale = self.network.scale
         return scale.inverse(values), scale.inverse(finals), flown.memory.expand(len(values), *flown.memory.shape)
+
+    def _vector(self, prepared: Mapping[str, Tensor], network: int) -> Tensor:
+        """Return what network 0 or 1 sees, (..., O)."""
+        parts = [prepared[key] for key in self._keys[network]]
+        return torch.cat(parts, dim=-1) if len(parts) > 1 else parts[0]
+
+    def _judge(self, flown: Flown) -> Samples:
+        return self._as_vectors(super()._judge(flown))
+
+    def _as_vectors(self, samples: Samples) -> Samples:
+        """Return samples with one vector for each network, once for all minibatches."""
+        vectors = {name: self._vector(samples.prepared, network) for network, name in enumerate((POLICY, CRITIC))}
+        return replace(samples, prepared=vectors)
 
     def _gradient(self, samples: Samples, chosen: Tensor, old_log_std: Tensor) -> tuple[Tensor, Tensor]:
         ppo, old, partial = self._ppo, samples.in_time, self._partial
         steps, envs = old["log_prob"].shape
         number, width = steps * chosen.numel(), partial.shape[1]
         self._kernels.gradient[(partial.shape[0], 2)](
-            self._adam.weights, chosen.contiguous(), samples.prepared[self._key], old["action"], old["mean"], old_log_std,
-            old["log_prob"], old["advantage"], old["value"], old["target"],
+            self._adam.weights, chosen.contiguous(), samples.prepared[POLICY], samples.prepared[CRITIC],
+            old["action"], old["mean"], old_log_std, old["log_prob"], old["advantage"], old["value"], old["target"],
             chosen.numel(), envs, number, *self._places[0], self._log_std, *self._places[1],
             ppo.clip_range, ppo.value_coef, ppo.bound_coef, ppo.entropy_coef, BOUND, width,
-            partial, num_actions=self._task.num_actions, clip_value=ppo.clip_value,
-            backward_precision=BACKWARD_PRECISION, **self._sizes, **GRADIENT_TILE,
+            partial, num_in0=self._num_in[0], num_in1=self._num_in[1], num_actions=self._task.num_actions,
+            clip_value=ppo.clip_value, backward_precision=BACKWARD_PRECISION, **self._sizes, **GRADIENT_TILE,
         )  # fmt: skip
         whole = partial.sum(0)
         return whole[:-3], whole[-3:] / number
+
+
+def _seen_by(network: ActorCritic) -> tuple[Mapping[str, tuple[int, ...]], Mapping[str, tuple[int, ...]]]:
+    """Return what policy and critic see, by key."""
+    return network.actor.shapes, (network.own_body or network.actor.body).cfg.shapes
+
+
+def _num_entries(shapes: Mapping[str, tuple[int, ...]]) -> int:
+    return sum(size for (size,) in shapes.values())
 
 
 def _linears(layers: nn.Module, head: nn.Linear) -> list[nn.Linear]:

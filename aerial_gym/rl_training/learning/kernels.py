@@ -3,7 +3,7 @@
 Small networks are bound by launches and by reading activations again: here each of them passes a tile of samples through all
 layers, forward and backward, in registers. The first network of the weights is the policy, the second the critic.
 
-Letters: N samples, O entries of an observation, H width of the hidden layers, U entries of an action, P weights, B blocks.
+Letters: N samples, O entries of what a network sees, H width of the hidden layers, U entries of an action, P weights, B blocks.
 """
 
 import triton  # pyright: ignore[reportMissingImports]
@@ -47,7 +47,7 @@ def _layers(
     head,
     head_bias,
     num_out,
-    num_in: tl.constexpr,
+    num_in,
     wide_in: tl.constexpr,
     hidden: tl.constexpr,
     wide_out: tl.constexpr,
@@ -117,7 +117,8 @@ def forward(
 def gradient(
     weights,  # (P,)
     order,  # (E',) environments of the minibatch
-    observation,  # (T, E, O)
+    seen0,  # (T, E, O) by the policy
+    seen1,  # (T, E, O) by the critic
     action,  # (T, E, U)
     mean,  # (T, E, U) before learning
     old_log_std,  # (U,)
@@ -149,7 +150,8 @@ def gradient(
     width,  # P + 3
     # out
     partial_out,  # (B, P + 3): gradient; sums of divergence, policy loss and value loss
-    num_in: tl.constexpr,
+    num_in0: tl.constexpr,
+    num_in1: tl.constexpr,
     wide_in: tl.constexpr,
     hidden: tl.constexpr,
     num_actions: tl.constexpr,
@@ -166,6 +168,7 @@ def gradient(
     second, second_bias = tl.where(critic == 0, second0, second1), tl.where(critic == 0, second_bias0, second_bias1)
     head, head_bias = tl.where(critic == 0, head0, head1), tl.where(critic == 0, head_bias0, head_bias1)
     num_out = tl.where(critic == 0, num_actions, 1)
+    num_in = num_in0 if num_in0 == num_in1 else tl.where(critic == 0, num_in0, num_in1)
     i, h, u = tl.arange(0, wide_in), tl.arange(0, hidden), tl.arange(0, wide_out)
     scale = 1.0 / num_samples
     ls = tl.load(weights + log_std + u, mask=u < num_actions, other=0.0)
@@ -185,8 +188,8 @@ def gradient(
         inside = sample < num_samples
         env = tl.load(order + sample % num_chosen, mask=inside, other=0)
         row = (sample // num_chosen) * num_envs + env
-        seen = inside[:, None] & (i < num_in)[None, :]
-        x = tl.load(observation + row[:, None] * num_in + i[None, :], mask=seen, other=0.0)
+        seen, at = inside[:, None] & (i < num_in)[None, :], row[:, None] * num_in + i[None, :]
+        x = tl.load(seen0 + at, mask=seen, other=0.0) if critic == 0 else tl.load(seen1 + at, mask=seen, other=0.0)
         h1, h2, out, w2, w3 = _layers(
             x, weights, first, first_bias, second, second_bias, head, head_bias, num_out,
             num_in, wide_in, hidden, wide_out, kind, precision,

@@ -26,10 +26,15 @@ RELATIVE = 5e-3 if DEVICE == "cuda" else 2e-5
 
 @pytest.mark.parametrize("activation", ["elu", "relu", "tanh"])
 @pytest.mark.parametrize("clip_value", [False, True])
-def test_gradient_values_and_actions_are_those_of_torch(activation: str, clip_value: bool) -> None:
+@pytest.mark.parametrize("critic", [(), ("critic",), ("observations", "critic")], ids=["alike", "other", "more"])
+def test_gradient_values_and_actions_are_those_of_torch(
+    activation: str, clip_value: bool, critic: tuple[str, ...]
+) -> None:
     """From weights that were moved since the segment was flown, so that ratios are clipped on both sides."""
+    name = "position_setpoint_task_sim2real" if critic else "position_setpoint_task"
     cfg = settings(
         24,
+        critic_keys=critic,
         horizon=8,
         hidden_layers=(16, 16),
         num_minibatches=2,
@@ -41,7 +46,7 @@ def test_gradient_values_and_actions_are_those_of_torch(activation: str, clip_va
         head_variance=1.0,
         max_grad_norm=1e9,
     )
-    cfg = replace(cfg, device=DEVICE)
+    cfg = replace(cfg, task=name, device=DEVICE)
     found = {}
     with task_registry.make_task(cfg.task, num_envs=24, device=DEVICE, seed=0, capture=False) as task:
         network = make_network(cfg, task)
@@ -61,13 +66,14 @@ def test_gradient_values_and_actions_are_those_of_torch(activation: str, clip_va
         ratio = (ratio.log_prob(samples.in_time["action"]) - samples.in_time["log_prob"]).exp()
         assert float((ratio > 1.2).float().mean()) > 0.1
         assert float((ratio < 0.8).float().mean()) > 0.1
-        noise = torch.randn(24, 4, generator=torch.Generator().manual_seed(4)).to(DEVICE)
+        noise = torch.randn(24, task.num_actions, generator=torch.Generator().manual_seed(4)).to(DEVICE)
         observation = {key: value[0] for key, value in flown.observation.items()}
         with torch.no_grad():
             prepared = network.prepare(flown.observation)
             final = network.prepare(flown.final)
         for name, learner in (("plain", plain), ("fused", fused)):
-            gradient = learner._gradient(samples, chosen, old_log_std)
+            seen = fused._as_vectors(samples) if learner is fused else samples
+            gradient = learner._gradient(seen, chosen, old_log_std)
             with torch.no_grad():
                 acts = learner._act(observation, flown.memory, flown.begins[0], noise)[:3]
                 values = learner._values(prepared, final, flown)[:2]
