@@ -159,6 +159,7 @@ def moderate_effects(
 def _hover_thrust(robot: RobotCfg, effects: Sequence[str], device: torch.device) -> tuple[Tensor, Tensor]:
     """Return thrust [N] and speed [rad/s] of each rotor, (1, R), that hold the vehicle with its effects level in place."""
     declared: Vehicle = vehicle_from_config(robot, num_envs=1, device=device)
+    effects = [name for name in effects if EFFECTS.get(name).on_rigid]
     vehicle = build_model(declared, moderate_effects(effects, robot, num_envs=1, device=device)).vehicle
     allocation = Allocation(vehicle, STANDARD_GRAVITY)
     weight = torch.zeros(1, 6, device=device)

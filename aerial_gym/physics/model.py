@@ -23,6 +23,7 @@ from aerial_gym.physics.effects import (
     EffectsByKind,
     FluidEffect,
     LearnedResidual,
+    LinkEffect,
     LoadEffect,
     VehicleEffect,
 )
@@ -117,8 +118,7 @@ def build_model(
         other_position = share_row(above, vehicle.num_envs)
     for effect, params in effects:
         check_rotors(effect, vehicle.traits)
-        if articulation is not None:
-            check_joints(effect)
+        check_joints(effect, bends=articulation is not None)
         expected = (vehicle.num_envs, len(effect.parameters))
         if tuple(params.shape) != expected:
             raise ShapeError(f"effect {effect.name}: parameters have shape {tuple(params.shape)}, expected {expected}")
@@ -150,9 +150,14 @@ def check_rotors(effect: Effect | type[Effect], traits: Set[str]) -> None:
         )
 
 
-def check_joints(effect: Effect | type[Effect]) -> None:
-    """Raise ``ConfigError`` if a vehicle that bends cannot have an effect (``docs/joints.md``)."""
-    if not effect.on_joints:
+def check_joints(effect: Effect | type[Effect], *, bends: bool) -> None:
+    """Raise ``ConfigError`` if a vehicle that bends, or one that does not, cannot have an effect (``docs/joints.md``)."""
+    if not bends and not effect.on_rigid:
+        raise ConfigError(
+            f"effect {effect.name}: is of the links of a vehicle with joints, and this one is rigid. Give it rotor_drag, "
+            "quadratic_drag or hull_drag, or joints"
+        )
+    if bends and not effect.on_joints:
         raise ConfigError(
             f"effect {effect.name}: is for rigid vehicles, and this one has joints. Leave the effect out, or the joints"
         )
@@ -172,7 +177,8 @@ def _check_scene(effects: Sequence[EffectParams], ceiling_height: float | Tensor
             raise ConfigError(
                 f"effect {effect.name}: there is no ceiling. Give ceiling_height [m] in the environment file"
             )
-    for kind, what in ((LoadEffect, "load"), (DelayEffect, "delay"), (FluidEffect, "fluid")):
+    alone = ((LoadEffect, "load"), (DelayEffect, "delay"), (FluidEffect, "fluid"), (LinkEffect, "damping of links"))
+    for kind, what in alone:
         names = [effect.name for effect, _ in effects if effect.kind is kind]
         if len(names) > 1:
             raise ConfigError(f"effects {names[0]} and {names[1]}: a vehicle has one {what} at most. Drop one of them")
@@ -188,9 +194,16 @@ def _inverse(inertia: Tensor) -> Tensor:
 
 
 def effects_from_config(
-    effects: Mapping[str, Mapping[str, float]], *, num_envs: int, device: torch.device, dtype: torch.dtype
+    effects: Mapping[str, Mapping[str, float]],
+    *,
+    num_envs: int,
+    device: torch.device,
+    dtype: torch.dtype,
+    robot: RobotCfg | None = None,
 ) -> list[EffectParams]:
     """Return the effects named in a robot file with their parameters in every environment.
+
+    ``robot`` is whose file it is; effects with parameters of its parts need it.
 
     Raises:
         UnknownNameError: If an effect is not registered.
@@ -198,28 +211,40 @@ def effects_from_config(
     """
     found = []
     for name, values in effects.items():
-        effect = EFFECTS.get(name)
+        effect = EFFECTS.get(name) if robot is None else EFFECTS.get(name).of(robot)
         row = torch.tensor(effect.params_from(values), dtype=dtype, device=device)
         found.append((effect, row.expand(num_envs, -1).clone()))
     return found
 
 
-def robot_effects(robot: RobotCfg, *, num_envs: int, device: torch.device, dtype: torch.dtype) -> list[EffectParams]:
-    """Return all that acts on a robot beyond rigid body and rotors: its effects, and what was learned of the rest."""
-    found = effects_from_config(robot.effects, num_envs=num_envs, device=device, dtype=dtype)
+def robot_effects(
+    robot: RobotCfg, *, num_envs: int, device: torch.device, dtype: torch.dtype, rigid: bool = False
+) -> list[EffectParams]:
+    """Return all that acts on a robot beyond rigid body and rotors: its effects, and what was learned of the rest.
+
+    With ``rigid`` it is taken as rigid in its reference pose, where effects on links do nothing.
+    """
+    effects = effects_on_rigid(robot) if rigid else robot.effects
+    found = effects_from_config(effects, num_envs=num_envs, device=device, dtype=dtype, robot=robot)
     if robot.learned_residual is not None:
         learned = LearnedResidual(robot.learned_residual, dtype=dtype, device=device)
         found.append((learned, torch.ones(num_envs, 1, dtype=dtype, device=device)))
     return found
 
 
+def effects_on_rigid(robot: RobotCfg) -> dict[str, Mapping[str, float]]:
+    """Return the effects of a robot file that act where a vehicle with joints is taken as rigid in its reference pose."""
+    return {
+        name: values for name, values in robot.effects.items() if robot.joints is None or EFFECTS.get(name).on_rigid
+    }
+
+
 def check_effects(robot: RobotCfg) -> None:
     """Raise the errors of ``effects_from_config`` without making a tensor, and what an effect misses in the robot file."""
     for name, values in robot.effects.items():
-        effect = EFFECTS.get(name)
+        effect = EFFECTS.get(name).of(robot)
         check_rotors(effect, robot.rotor_traits)
-        if robot.joints is not None:
-            check_joints(effect)
+        check_joints(effect, bends=robot.joints is not None)
         effect.check(robot)
         row = dict(zip((p.name for p in effect.parameters), effect.params_from(values), strict=True))
         for parameter in effect.parameters:

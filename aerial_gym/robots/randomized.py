@@ -28,7 +28,7 @@ def with_drawn_effects(robot: RobotCfg, cfg: Randomize) -> RobotCfg:
     """Return the robot with the effects whose parameters are drawn and which it lacks, at their neutral parameters."""
     effects = dict(robot.effects)
     for name in cfg:
-        parts = name.split(".")
+        parts = name.split(".", 2)
         if len(parts) == 3 and parts[0] == "effects" and parts[1] in EFFECTS and parts[1] not in effects:
             effect = EFFECTS.get(parts[1])
             neutral = zip((p.name for p in effect.parameters), effect.neutral(robot), strict=True)
@@ -42,7 +42,7 @@ def known_quantities(robot: RobotCfg, *, gains: Iterable[str]) -> list[str]:
     """Return the names of everything that may be drawn of a robot and ``gains``; any effect may, though the file lacks it."""
     names = [name for name in QUANTITIES if robot.battery is not None or not name.startswith("battery.")]
     names += [f"mounts.{i + 1}.{what}" for i in range(robot.num_rotors) for what in ("position", "axis")]
-    names += [f"effects.{name}.{p.name}" for name in EFFECTS.names() for p in EFFECTS.get(name).parameters]
+    names += [f"effects.{name}.{p.name}" for name in EFFECTS.names() for p in _parameters(name, robot)]
     return names + [f"gains.{name}" for name in gains]
 
 
@@ -97,6 +97,7 @@ class Randomized:
         self._vehicle = {name: rows[0].tolist() for name, rows in declared.rows().items()}
         self._effects = [effect for effect, _ in effects]
         self._params = {effect.name: params[0].tolist() for effect, params in effects}
+        self._parameters = {effect.name: effect.parameters for effect, _ in effects}
         self._gains = {name: rows[0].tolist() for name, rows in gains.items()}
         self._gain_rows = {name: own_rows(rows[:1])[0] for name, rows in gains.items()}
         joint_factor(cfg)
@@ -154,7 +155,7 @@ class Randomized:
         gains: dict[str, Tensor] = {}
         for each in self.drawn:
             draw = values[:, each.columns].reshape(-1, *each.shape)
-            family, *rest = each.name.split(".")
+            family, *rest = each.name.split(".", 2)
             if family == "effects":
                 at = [effect.name for effect in self._effects].index(rest[0])
                 k = [p.name for p in self._effects[at].parameters].index(rest[1])
@@ -199,14 +200,18 @@ class Randomized:
 
     def _declared_of(self, name: str, cfg: RandomizeCfg) -> list[float] | float:
         """Return what is declared of a quantity, in the shape of its draw."""
-        family, *rest = name.split(".")
+        family, *rest = name.split(".", 2)
         if family == "effects":
-            effect = EFFECTS.get(rest[0])
-            return self._params[rest[0]][[p.name for p in effect.parameters].index(rest[1])]
+            return self._params[rest[0]][[p.name for p in self._parameters[rest[0]]].index(rest[1])]
         if family == "gains":
             return self._gains[rest[0]]
         probe = self._probe(name, cfg)
         return probe.tolist()
+
+    def _parameter(self, name: str) -> Parameter | None:
+        """Return the parameter of an effect that a quantity is; None of another quantity."""
+        family, *rest = name.split(".", 2)
+        return next(p for p in self._parameters[rest[0]] if p.name == rest[1]) if family == "effects" else None
 
     def _probe(self, name: str, cfg: RandomizeCfg) -> Tensor:
         one = _ONE_MOUNT.fullmatch(name)
@@ -235,8 +240,9 @@ class Randomized:
         if trait is not None and trait not in self._declared.traits:
             raise ConfigError(f"randomize: {name}: the rotors of this robot have none. Declare one in its file")
         declared = torch.tensor(self._declared_of(name, cfg)).flatten().tolist()
-        least, most = _limits(name, self._num_rotors)
-        if _names_rotor(name) and (cfg.distribution, cfg.how) != ("integer", "value"):
+        parameter = self._parameter(name)
+        least, most = _limits(name, parameter, self._num_rotors)
+        if parameter is not None and parameter.kind == "rotor" and (cfg.distribution, cfg.how) != ("integer", "value"):
             raise ConfigError(f"randomize: {name} is the number of a rotor. Give how: value, distribution: integer")
         for low, high in cfg.reached(name, declared):
             if not (least <= low and high <= most):
@@ -246,21 +252,13 @@ class Randomized:
                 )
 
 
-def _parameter(name: str) -> Parameter | None:
-    """Return the parameter of an effect that a quantity is; None of another quantity."""
-    family, *rest = name.split(".")
-    return next(p for p in EFFECTS.get(rest[0]).parameters if p.name == rest[1]) if family == "effects" else None
+def _parameters(effect: str, robot: RobotCfg) -> tuple[Parameter, ...]:
+    """Return the parameters that an effect has on a robot."""
+    return EFFECTS.get(effect).of(robot).parameters if effect in robot.effects else EFFECTS.get(effect).parameters
 
 
-def _names_rotor(name: str) -> bool:
-    """Return whether a quantity is the number of a rotor."""
-    parameter = _parameter(name)
-    return parameter is not None and parameter.kind == "rotor"
-
-
-def _limits(name: str, num_rotors: int) -> tuple[float, float]:
-    """Return the lowest and highest value of a quantity that is possible."""
-    parameter = _parameter(name)
+def _limits(name: str, parameter: Parameter | None, num_rotors: int) -> tuple[float, float]:
+    """Return the lowest and highest value of a quantity that is possible, a parameter of an effect or not."""
     if parameter is not None:
         return parameter.low, num_rotors if parameter.kind == "rotor" else parameter.high
     family = name.partition(".")[0]

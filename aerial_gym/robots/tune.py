@@ -58,7 +58,7 @@ def tune_robot(
         ConfigError: If the lag does not allow that; it says what it does.
     """
     declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
-    effects = robot_effects(robot, num_envs=1, device=torch.device("cpu"), dtype=torch.float64)
+    effects = robot_effects(robot, num_envs=1, device=torch.device("cpu"), dtype=torch.float64, rigid=True)
     vehicle = build_model(declared, effects).vehicle
     delay = float(robot.effects.get("actuation_delay", {}).get("delay", 0.0))
     tuned = tune_attitude(vehicle, bandwidth=attitude, damping=damping, delay=delay, dt=dt)

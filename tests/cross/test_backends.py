@@ -24,7 +24,7 @@ from aerial_gym.physics.effects import EffectsByKind, WrenchEffect
 from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
-from tests.physics.vehicles import CEILING, lopsided_robot, random_state
+from tests.physics.vehicles import CEILING, ON_RIGID, lopsided_robot, random_state
 from tests.repetitions import seldom, thinned
 
 FACTOR = 4.0
@@ -275,8 +275,8 @@ sensors or logs have (``imu_*``, ``rotor_speed_scale``) moves no state."""
 @pytest.mark.parametrize(
     "effects",
     [
-        *(EFFECTS.names()[first::GROUPS] for first in range(GROUPS)),
-        *(pytest.param((effect,), marks=pytest.mark.slow) for effect in EFFECTS.names()),
+        *(ON_RIGID[first::GROUPS] for first in range(GROUPS)),
+        *(pytest.param((effect,), marks=pytest.mark.slow) for effect in ON_RIGID),
     ],
     ids="+".join,
 )
@@ -290,7 +290,7 @@ def test_every_effect_flies_like_torch(effects: tuple[str, ...]) -> None:
 @pytest.mark.usefixtures("optimised")
 def test_all_effects_at_once_fly_like_torch() -> None:
     robot = lopsided_robot()
-    assert_same_flight(robot, CONTROLLERS.get("rotor_speed_control"), "euler", effects=EFFECTS.names())
+    assert_same_flight(robot, CONTROLLERS.get("rotor_speed_control"), "euler", effects=ON_RIGID)
 
 
 @pytest.mark.usefixtures("optimised")

@@ -9,12 +9,12 @@ import torch
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.math.random import Randomness
-from aerial_gym.physics import EFFECTS, BodyState, TorchBackend
+from aerial_gym.physics import BodyState, TorchBackend
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.effects.base import sum_of_crosses, velocity_of_turning
 from aerial_gym.robots import ROBOTS
 from tests.cross.test_backends import DT, actions_for, build, scale_by_env, start_of
-from tests.physics.vehicles import lopsided_robot, random_network
+from tests.physics.vehicles import ON_RIGID, lopsided_robot, random_network
 
 COUNTS = (1, 3, 4, 5, 63, 65, 130)
 MANY = 2048
@@ -76,7 +76,7 @@ def test_under_every_controller(controller: str) -> None:
 
 @pytest.mark.parametrize("dtype", [torch.float32, pytest.param(torch.float64, marks=pytest.mark.slow)])
 def test_with_all_effects_at_once_on_any_number_of_threads(threads: int, dtype: torch.dtype) -> None:
-    assert_rows_alike(lopsided_robot(), "lee_velocity_control", dtype, effects=EFFECTS.names(), first=8001, many=8192)
+    assert_rows_alike(lopsided_robot(), "lee_velocity_control", dtype, effects=ON_RIGID, first=8001, many=8192)
 
 
 def test_with_a_learned_residual() -> None:

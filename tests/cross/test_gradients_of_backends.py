@@ -19,7 +19,7 @@ from aerial_gym.physics import (
 )
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.robots import ROBOTS
-from tests.physics.vehicles import CEILING, lopsided_robot, random_network, random_state
+from tests.physics.vehicles import CEILING, ON_RIGID, lopsided_robot, random_network, random_state
 
 NUM_ENVS, DT, SUBSTEPS = 3, 0.01, 5
 RELATIVE = 2e-5
@@ -39,7 +39,7 @@ def gradients(backend, dtype: torch.dtype, controller: str, integrator: str) -> 
     inertia = vehicle.inertia.clone().requires_grad_()
     leaves = {"mass": mass, "inertia": inertia}
     effects = []
-    for name in EFFECTS.names():
+    for name in ON_RIGID:
         effect = EFFECTS.get(name)
         if effect.acts_on == "sensor" or effect.remembers or name == OVERRULED:
             continue

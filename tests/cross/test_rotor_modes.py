@@ -11,7 +11,7 @@ from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.physics import EFFECTS, BodyState, TorchBackend, WarpBackend, build_model, vehicle_from_config
 from tests.cross.test_backends import as_type, assert_near
 from tests.physics.mixed_rotors import mixed_robot
-from tests.physics.vehicles import random_state
+from tests.physics.vehicles import ON_RIGID, random_state
 
 NUM_ENVS, DT, SUBSTEPS, STEPS = 12, 0.004, 5, 8
 
@@ -76,7 +76,7 @@ def test_mixed_rotors_fly_like_torch(integrator: str, vary: bool) -> None:
 
 
 def test_effects_on_reversible_rotors_fly_like_torch() -> None:
-    names = tuple(n for n in EFFECTS.names() if {"reversible", "slew"} <= set(EFFECTS.get(n).rotors))
+    names = tuple(n for n in ON_RIGID if {"reversible", "slew"} <= set(EFFECTS.get(n).rotors))
     robot = mixed_robot()
     layout = tuple(replace(m, rotor="reversible" if m.rotor == "force" else m.rotor) for m in robot.mounts.layout)
     robot = replace(

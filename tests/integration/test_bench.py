@@ -12,7 +12,8 @@ from aerial_gym.benchmarks.measure import WorkloadError, spread, time_launches, 
 from aerial_gym.cli.main import main
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics import EFFECTS, BodyState, state_at_rest
+from aerial_gym.physics import BodyState, state_at_rest
+from tests.physics.vehicles import ON_RIGID
 from tests.repetitions import often
 
 QUICK = ("--device", "cpu", "--repeats", "2", "--repeat-time-s", "0.02", "--threads", "1")
@@ -140,7 +141,7 @@ def test_every_controller_keeps_flying_for_a_stretch(controller: str) -> None:
 @pytest.mark.slow
 def test_all_effects_together_keep_flying_for_a_stretch() -> None:
     """All that ``tinyprop`` has the numbers for, in open air; without ground effect, as flights begin about z = 0."""
-    names = [name for name in EFFECTS.names() if name not in ("battery_sag", "ceiling_effect", "ground_effect")]
+    names = [name for name in ON_RIGID if name not in ("battery_sag", "ceiling_effect", "ground_effect")]
     flight = small_flight(robot="tinyprop", effects=names, num_envs=2)
     for _ in range(flight.batches_per_stretch):
         flight.run_batch()

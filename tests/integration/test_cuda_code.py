@@ -29,7 +29,7 @@ from aerial_gym.sensors.ray_kernels import make_warp_kernel
 from aerial_gym.task.kernels import goals, noise, practice
 from tests.physics.contact_rig import InScene, obstacle, start
 from tests.physics.mixed_rotors import mixed_robot
-from tests.physics.vehicles import random_network
+from tests.physics.vehicles import ON_RIGID, random_network
 
 ARCHITECTURE = 90
 """Compute capability: Hopper."""
@@ -68,7 +68,7 @@ ONE_OF_EACH_KIND = ("rotor_drag", "gusts", "ground_effect", "battery_sag", "actu
 @pytest.mark.parametrize(
     ("controller", "integrator", "names"),
     [
-        pytest.param("rotor_speed_control", "euler", EFFECTS.names(), id="euler-all_effects"),
+        pytest.param("rotor_speed_control", "euler", ON_RIGID, id="euler-all_effects"),
         pytest.param("lee_velocity_control", "rk4", ONE_OF_EACH_KIND, id="rk4-each_kind", marks=pytest.mark.slow),
     ],
 )

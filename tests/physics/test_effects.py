@@ -23,6 +23,7 @@ from aerial_gym.physics.effects import (
     Effect,
     FluidEffect,
     ImuEffect,
+    LinkEffect,
     LoadEffect,
     RotorEffect,
     RotorSensorEffect,
@@ -33,7 +34,7 @@ from aerial_gym.physics.effects import (
 from aerial_gym.physics.model import Model
 from aerial_gym.robots import ROBOTS
 from tests.physics.test_rigid_body import SpeedControl
-from tests.physics.vehicles import BATTERY, CEILING, F64, lopsided_robot, random_state
+from tests.physics.vehicles import BATTERY, CEILING, F64, ON_RIGID, lopsided_robot, random_state
 
 KINDS = (
     VehicleEffect,
@@ -41,6 +42,7 @@ KINDS = (
     RotorEffect,
     WrenchEffect,
     FluidEffect,
+    LinkEffect,
     LoadEffect,
     DelayEffect,
     CommandEffect,
@@ -215,7 +217,7 @@ def test_every_effect_states_what_it_is(name: str) -> None:
         assert parameter.scale > 0
 
 
-@pytest.mark.parametrize("name", EFFECTS.names())
+@pytest.mark.parametrize("name", ON_RIGID)
 def test_neutral_parameters_leave_a_symmetric_rotor_vehicle_as_declared(name: str) -> None:
     robot, state = ROBOTS.get("tinyprop"), random_state(16)
     effect = EFFECTS.get(name)

@@ -8,7 +8,7 @@ import torch
 from aerial_gym.config.learned_residual import LayerCfg, LearnedResidualCfg
 from aerial_gym.config.robot import BatteryCfg, BodyCfg, CollisionCfg, MountCfg, MountsCfg, RobotCfg, RotorCfg
 from aerial_gym.math.quaternion import quat_normalize
-from aerial_gym.physics import BodyState
+from aerial_gym.physics import EFFECTS, BodyState
 
 F64 = torch.float64
 
@@ -21,6 +21,9 @@ BATTERY = BatteryCfg(
     efficiency=0.6,
     source="test",
 )
+
+ON_RIGID = tuple(name for name in EFFECTS.names() if EFFECTS.get(name).on_rigid)
+"""Every effect but those on links, which only a vehicle with joints has."""
 
 CEILING = 9.0
 """Height for effects near a ceiling [m]; above random states lifted by 4 m."""

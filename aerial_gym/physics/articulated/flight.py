@@ -1,7 +1,7 @@
 """A vehicle that bends, in the air: what its rotors and effects do to its links, and one step of it.
 
 Each rotor pushes the link that it sits on. Effects on the whole act on the base, at the centre of mass and with the geometry of
-the reference pose: the drag of an arm that has moved is that of one that has not.
+the reference pose; effects on links (``LinkEffect``) on each link where it is, by its own motion.
 Letters: E environments, R rotors, D joints, L links, C joints with a drive.
 """
 
@@ -12,13 +12,15 @@ import torch
 from torch import Tensor
 
 from aerial_gym.errors import CapabilityError
+from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.physics.articulated.articulation import Articulation
+from aerial_gym.physics.articulated.link_damping import LinkDamping, motion_in_air
 from aerial_gym.physics.articulated.steppers import implicit_euler
-from aerial_gym.physics.articulated.tree import TreeState
-from aerial_gym.physics.effects import RotorEffect, WrenchEffect
+from aerial_gym.physics.articulated.tree import Links, TreeState
+from aerial_gym.physics.effects import LinkEffect, RotorEffect, WrenchEffect
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.rigid_body import acting_in, condition_in
+from aerial_gym.physics.rigid_body import acting_in, air_velocity, condition_in
 from aerial_gym.physics.rotor_lag import RotorCommand, follow_command
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque
 from aerial_gym.physics.state import BodyState, JointedState
@@ -66,9 +68,10 @@ def jointed_step(
         joint_pos=state.joint_pos,
         joint_vel=state.joint_vel,
     )
+    links = articulation.links(model.vehicle)  # anew: a reset draws masses in place
     after = stepper(
         articulation.tree,
-        articulation.links(model.vehicle),  # anew: a reset draws masses in place
+        links,
         articulation.laws(crept),
         before,
         dt,
@@ -76,6 +79,7 @@ def jointed_step(
         drive=articulation.drive(joint_command),
         friction=articulation.resistance,
         wrench=link_wrenches(model, articulation, body, rotor_acc),
+        damping=link_damping(model, articulation, links, before),
     )
     return JointedState(**vars(after), rotor_speed=rotor_speed)
 
@@ -105,6 +109,33 @@ def link_wrenches(model: Model, articulation: Articulation, body: BodyState, rot
         whole = torch.cat((push, twist), dim=-1).unsqueeze(1)
         on_links = on_links + torch.nn.functional.pad(whole, (0, 0, 0, articulation.num_joints))
     return on_links
+
+
+def link_damping(model: Model, articulation: Articulation, links: Links, state: TreeState) -> LinkDamping | None:
+    """Return what damps the links at the start of a step; None where nothing does.
+
+    Args:
+        model: Vehicle and effects. Their wind is that at the vehicle's centre of mass in the reference pose, for all links.
+        articulation: Its own.
+        links: What they weigh.
+        state: Their motion.
+    """
+    if not model.effects[LinkEffect]:
+        return None
+    ((effect, params),) = model.effects[LinkEffect]
+    turn, com = state.attitude, model.vehicle.com
+    wind = -air_velocity(model, state.position + quat_rotate(turn, com), turn, torch.zeros_like(state.lin_vel))
+    velocity, turned_wind = motion_in_air(
+        articulation.tree,
+        links,
+        state.joint_pos,
+        state.joint_vel,
+        quat_rotate_inverse(turn, state.lin_vel),
+        state.ang_vel,
+        wind,
+    )
+    damping = torch.where(links.mass.unsqueeze(-1) > 0.0, effect.damping(velocity, params), 0.0)
+    return LinkDamping(velocity=velocity, damping=damping, turned_wind=turned_wind)
 
 
 def check_jointed(integrator: str, ground: Ground | None) -> None:

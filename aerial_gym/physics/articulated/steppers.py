@@ -24,6 +24,7 @@ from torch import Tensor
 from aerial_gym.math.quaternion import quat_exp, quat_multiply, quat_normalize
 from aerial_gym.physics.articulated.dynamics import Equations, accelerations, equations, solve
 from aerial_gym.physics.articulated.joint_laws import Drive, Effort, JointLaw, joint_effort
+from aerial_gym.physics.articulated.link_damping import LinkDamping, damped
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 
 
@@ -39,6 +40,7 @@ def implicit_euler(
     friction: Drive | None = None,
     wrench: Tensor | None = None,
     effort: Tensor | None = None,
+    damping: LinkDamping | None = None,
 ) -> TreeState:
     """Return the state after one step.
 
@@ -56,10 +58,13 @@ def implicit_euler(
         friction: As ``joint_laws.dry_friction`` gives it; None where there is none.
         wrench: Held through the step, as for ``equations``, (E, L, 6).
         effort: Of the joints beside the laws, held through the step, (E, D).
+        damping: Of the links, taken at the end of the step; None where there is none.
     """
 
     def step(acts: Effort, swings: TreeState) -> TreeState:
         found = equations(tree, links, swings, gravity=gravity, wrench=wrench, effort=effort)
+        if damping is not None:
+            found = damped(tree, found, damping, dt)
         return _implicit(tree, state, found, acts, dt)
 
     return with_drive(step, laws, drive, friction, state)

@@ -46,6 +46,7 @@ for _name, _class in (
     ("downwash", "Downwash"),
     ("buoyancy", "Buoyancy"),
     ("hull_drag", "HullDrag"),
+    ("link_drag", "LinkDrag"),
     ("added_mass", "AddedMass"),
     ("added_inertia", "AddedInertia"),
     ("imu_bias", "ImuBias"),

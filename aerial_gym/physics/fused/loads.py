@@ -95,6 +95,13 @@ def _make_hub_at(num_rotors: int, general: bool, upright: bool) -> wp.Function:
     return hub_at
 
 
+def make_wind(model: Model) -> wp.Function:
+    """Return a function to the velocity of the air [m/s], world: (position [m], world, values of all effects)."""
+    twins = [effect.warp_wind() for effect, _ in model.effects[WindEffect]]
+    winds = [(twin, pick.get) for twin, pick in zip(twins, pickers(model)[WindEffect], strict=True)]
+    return _sum_of(winds, wp.vec3, values_type(model), wp.vec3)
+
+
 def make_loads(model: Model, *, upright: bool) -> wp.Function:
     """Return a function to thrusts [N] and drag torques [N m] of the rotors, force and torque of the effects on the whole about
     the centre of mass, body, and the condition that they saw: ``rigid_body.loads_in`` for one environment.
@@ -110,11 +117,10 @@ def make_loads(model: Model, *, upright: bool) -> wp.Function:
         return [(twin, pick.get) for twin, pick in zip(twins, picks[kind], strict=True)]
 
     effects = model.effects
-    winds = with_picks(WindEffect, [effect.warp_wind() for effect, _ in effects[WindEffect]])
     rotors = with_picks(RotorEffect, [effect.warp_thrust(types.condition, Hub) for effect, _ in effects[RotorEffect]])
     wrenches = with_picks(WrenchEffect, [effect.warp_wrench(types.condition) for effect, _ in effects[WrenchEffect]])
     any_rotor, any_wrench, any_fluid = bool(rotors), bool(wrenches), bool(effects[FluidEffect])
-    wind = _sum_of(winds, wp.vec3, params_type, wp.vec3)
+    wind = make_wind(model)
     gain = _sum_of_rotors(rotors, types.condition, params_type)
     wrench = _sum_of(wrenches, types.condition, params_type, wp.spatial_vector)
     vehicle_type, vector, condition_type = types.vehicle, types.vector, types.condition

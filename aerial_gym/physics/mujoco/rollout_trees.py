@@ -6,7 +6,8 @@ damping C that the laws have in each state:
     (M + C dt + K dt²) a = f - h - K q' dt.
 
 MuJoCo's ``Euler`` takes the damping D of a joint so: ``(M + D dt) a = u - h - D q'``. With ``D = C + K dt`` and
-``u = f + C q'`` it is the same step. A fixed base is level in MuJoCo and stands still: gravity is turned instead.
+``u = f + C q'`` it is the same step. Damping of links is no joint's: it is held through a step as other forces on links are,
+and refused where it would turn their motion round. A fixed base is level in MuJoCo and stands still: gravity is turned instead.
 Letters: E environments, L links, D joints.
 """
 
@@ -16,9 +17,10 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from aerial_gym.errors import ShapeError
+from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics.articulated.joint_laws import Drive, Effort, JointLaw
+from aerial_gym.physics.articulated.link_damping import LinkDamping
 from aerial_gym.physics.articulated.steppers import moved_on, with_drive
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.mujoco.bodies import LARGEST, load
@@ -77,16 +79,21 @@ class RolloutTrees:
         wrench: Tensor,
         drive: Drive | None = None,
         friction: Drive | None = None,
+        damping: LinkDamping | None = None,
     ) -> TreeState:
-        """Return the state after one step; arguments as for ``steppers.implicit_euler``.
+        """Return the state after one step; arguments as for ``steppers.implicit_euler``, but that damping is held through it.
 
         Rows with a number that is not finite, or beyond ``bodies.LARGEST``, come out NaN; they are not stepped.
 
         Raises:
             ShapeError: If it was made for another tree or for steps of another length.
+            CapabilityError: If damping of links is too large to be held.
         """
         if tree is not self._tree or dt != self.dt:
             raise ShapeError(f"MuJoCo's models are of another tree, or of steps of {self.dt:g} s. Make them anew")
+        if damping is not None:
+            _check_held(links, damping, dt)
+            wrench = wrench + damping.held(links)
         return with_drive(partial(self._step, links, state, gravity, wrench), laws, drive, friction, state)
 
     def _step(
@@ -124,3 +131,22 @@ class RolloutTrees:
             twist = end[:, rate : rate + 6]
             lin_vel, ang_vel = twist[:, :3], state.ang_vel + twist[:, 3:] - swings.ang_vel
         return moved_on(state, lin_vel, ang_vel, state.joint_vel + end[:, self._joint_vel] - swings.joint_vel, dt)
+
+
+def _check_held(links: Links, acts: LinkDamping, dt: float) -> None:
+    """Raise ``CapabilityError`` where damping that is held through a step takes more than all of a link's motion.
+
+    Below ``D dt = m`` of each link, and likewise for torques, no motion of the tree turns round:
+    ``sum J^T D J dt <= sum J^T m J <= M``. A link that is a point has no inertia to say so by.
+    """
+    along, about = (part.amax(-1) for part in acts.damping.split(3, dim=-1))
+    moment = torch.linalg.eigvalsh(links.inertia)[..., 0]
+    for damping, size, what in ((along, links.mass, "mass [kg]"), (about, moment, "least moment of inertia [kg m²]")):
+        size = size.expand_as(damping)
+        if bool(((size > 0.0) & (dt * damping > size)).any()):
+            ratio = float((dt * damping / size)[size > 0.0].nan_to_num(0.0).max())
+            raise CapabilityError(
+                f"backend mujoco: holds drag of links through a step of {dt:g} s, which would take {ratio:.3g} times what "
+                f"moves one: drag per speed times the step must stay below its {what}. Use backend 'torch' or 'warp', or shorter "
+                "steps"
+            )

@@ -135,7 +135,8 @@ def _hover(vehicle: Vehicle, gravity: float) -> Tensor:
 
 
 def _in_still_air(robot: RobotCfg) -> list[EffectParams]:
-    effects = robot_effects(robot, num_envs=NUM_FLIGHTS, device=torch.device("cpu"), dtype=torch.float32)
+    cpu = torch.device("cpu")
+    effects = robot_effects(robot, num_envs=NUM_FLIGHTS, device=cpu, dtype=torch.float32, rigid=True)
     return [(effect, params) for effect, params in effects if not isinstance(effect, WindEffect)]
 
 

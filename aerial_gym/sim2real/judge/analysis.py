@@ -307,9 +307,12 @@ def what_to_fly(
 def not_testable(selection: Selection, robot: RobotCfg, unexplained: Unexplained) -> dict[str, str]:
     """Return what the flights cannot show: registered effects without excitation, and look-alikes without a model.
 
-    Nobody is told what to fly for soft arms of a vehicle that has none.
+    Nobody is told what to fly for soft arms of a vehicle that has none. Of one with joints no effect on links can be shown.
     """
     found = dict(selection.not_testable)
+    if robot.joints is not None:
+        reason = "acts on links where they are, and the vehicle is taken as rigid in its reference pose here"
+        found |= {name: reason for name in EFFECTS if not EFFECTS.get(name).on_rigid}
     for name in found:
         if robot.joints is None and not fits_vehicle(name, selection, robot):
             found[name] = "its file gives the vehicle no soft arms, and these flights show none"
@@ -326,7 +329,8 @@ def corrected_robot(declared: Declared, params: ModelParams, accepted: Sequence[
     learned = robot if params.learned is None else replace(robot, learned_residual=params.learned.cfg)
     if not accepted:
         return learned
-    effects = {
+    effects = {name: dict(values) for name, values in robot.effects.items() if not EFFECTS.get(name).on_rigid}
+    effects |= {
         name: {p.name: float(v) for p, v in zip(EFFECTS.get(name).parameters, values, strict=True)}
         for name, values in params.effects.items()
     }

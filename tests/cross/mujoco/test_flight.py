@@ -17,7 +17,6 @@ from aerial_gym.errors import CapabilityError
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import (
     BACKENDS,
-    EFFECTS,
     BodyState,
     PhysicsBackend,
     TorchBackend,
@@ -29,7 +28,7 @@ from aerial_gym.robots import ROBOTS
 from tests.cross.test_backends import actions_for, as_type, build, start_of
 from tests.physics.contact_rig import start
 from tests.physics.mixed_rotors import mixed_robot
-from tests.physics.vehicles import F64, lopsided_robot, random_state
+from tests.physics.vehicles import F64, ON_RIGID, lopsided_robot, random_state
 from tests.repetitions import thinned
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[mujoco]'")
@@ -60,7 +59,7 @@ def assert_same(one: BodyState, other: BodyState, *, bound: float = ROUND_OFF) -
         assert error <= bound * size, f"{name}: {error:.1e}"
 
 
-@pytest.mark.parametrize("name", thinned([None, *EFFECTS.names()], 2))
+@pytest.mark.parametrize("name", thinned([None, *ON_RIGID], 2))
 def test_every_effect_flies_as_in_torch(name: str | None) -> None:
     """Each moderately far from neutral, beside drag, which shows wind, on a vehicle with products of inertia."""
     robot, ends = lopsided_robot(), []

@@ -1,33 +1,54 @@
-"""Drag of single links, given to the reference engine as the forces on links that it takes: against closed forms.
+"""Drag of links against closed forms and conservation laws, on the reference engine; on the fused one in ``tests/cross``."""
 
-No effect does this (``docs/joints.md``, drag of links); these are the forces that one would have to give.
-"""
-
+from dataclasses import replace
 from math import cos, exp, pi, sqrt, tanh
 
 import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.math.quaternion import quat_rotate_inverse
-from aerial_gym.physics.articulated.motion import cross, move_links, place_links
+from aerial_gym.config.joint import JointCfg, JointsCfg, LinkCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.math.quaternion import quat_rotate_inverse, quat_to_matrix
+from aerial_gym.physics import EFFECTS
+from aerial_gym.physics.articulated.articulation import articulation_of
+from aerial_gym.physics.articulated.dynamics import kinetic_energy, momenta
+from aerial_gym.physics.articulated.flight import jointed_step
+from aerial_gym.physics.articulated.link_damping import LinkDamping, motion_in_air
+from aerial_gym.physics.articulated.motion import place_links
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree, TreeState
-from tests.physics.articulated.trees import F64, pendulum
+from aerial_gym.physics.effects.link_drag import LinkDrag
+from aerial_gym.physics.model import Model, build_model, check_effects, robot_effects
+from aerial_gym.physics.state import JointedState, state_at_rest
+from aerial_gym.physics.vehicle import vehicle_from_config
+from aerial_gym.robots import ROBOTS
+from tests.physics.articulated.trees import F64, pendulum, random_links, random_motion, random_tree
 
 G = 9.81
 
+ORDERS = ("lx", "ly", "lz", "qx", "qy", "qz", "ax", "ay", "az", "bx", "by", "bz")
 
-def drag(tree: Tree, links: Links, state: TreeState, linear: float, quadratic: float) -> Tensor:
-    """Return ``-(d1 + d2 |v|) v`` at all centres of mass but the base's, as force and torque at origins, (E, L, 6)."""
-    places = place_links(tree, links, state.joint_pos)
-    base_vel = quat_rotate_inverse(state.attitude, state.lin_vel)
-    motion = move_links(tree, places, base_vel, state.ang_vel, state.joint_vel)
-    velocity = motion.lin_vel + cross(motion.ang_vel, places.com - places.origin)
-    force = -(linear + quadratic * velocity.norm(dim=-1, keepdim=True)) * velocity
-    force = (places.rotation.transpose(-1, -2) @ force.unsqueeze(-1)).squeeze(-1)
-    force[:, 0] = 0.0
-    return torch.cat((force, cross(links.com.expand_as(force), force)), dim=-1)
+
+def acting(
+    tree: Tree, links: Links, state: TreeState, wind: Tensor | None = None, **numbers: float
+) -> tuple[LinkDamping, Tensor]:
+    """Return what damps all links, and the parameters, (E, 12); ``l=0.1`` is along all axes."""
+    row = torch.tensor([numbers.get(name, numbers.get(name[0], 0.0)) for name in ORDERS], dtype=F64)
+    params = row.expand(len(state.position), -1)
+    wind = torch.zeros_like(state.lin_vel) if wind is None else wind
+    velocity, turned_wind = motion_in_air(
+        tree,
+        links,
+        state.joint_pos,
+        state.joint_vel,
+        quat_rotate_inverse(state.attitude, state.lin_vel),
+        state.ang_vel,
+        quat_rotate_inverse(state.attitude, wind),
+    )
+    damping = LinkDrag().damping(velocity, params)
+    return LinkDamping(velocity=velocity, damping=damping, turned_wind=turned_wind), params
 
 
 def swing(
@@ -39,8 +60,8 @@ def swing(
     state.joint_pos[:] = start
     state.joint_vel[:] = 2.0 * (gravity == 0.0)
     for _ in range(round(span / dt)):
-        wrench = drag(tree, links, state, linear, quadratic)
-        state = implicit_euler(tree, links, (), state, dt, gravity=gravity, wrench=wrench)
+        damping, _ = acting(tree, links, state, l=linear, q=quadratic)
+        state = implicit_euler(tree, links, (), state, dt, gravity=gravity, damping=damping)
     return torch.cat((state.joint_pos, state.joint_vel))[:, 0]
 
 
@@ -49,33 +70,303 @@ def test_linear_drag_damps_a_pendulum_by_half_of_it_over_the_mass() -> None:
     linear, mass, length, start = 0.08, 0.2, 0.5, 1e-3
     rate = linear / (2.0 * mass)
     period = 2.0 * pi / sqrt(G / length - rate**2)
-    ends = []
-    for number in (150, 300):
-        ends.append(float(swing(period / number, period, start, linear=linear)[0]))
+    ends = [float(swing(period / number, period, start, linear=linear)[0]) for number in (150, 300)]
     assert 2.0 * ends[1] - ends[0] == pytest.approx(start * exp(-rate * period), rel=1e-3)
 
 
 def test_quadratic_drag_slows_a_link_hyperbolically() -> None:
-    """Without weight ``m l q'' = -d l² q'²``: ``q' = q0' / (1 + d l q0' t / m)``, against the turn either way."""
+    """Without weight ``m l q'' = -d l² q'²``: ``q' = q0' / (1 + d l q0' t / m)``. The step ends with the speed of its start in
+    ``q0' / (1 + d l q0' dt / m)``: it is exact at every length."""
     quadratic, mass, length = 0.3, 0.2, 0.5
-    ends = [float(swing(dt, 1.0, 0.0, quadratic=quadratic, gravity=0.0)[1]) for dt in (4e-3, 2e-3)]
-    assert 2.0 * ends[1] - ends[0] == pytest.approx(2.0 / (1.0 + quadratic * length * 2.0 / mass), rel=1e-4)
+    for dt in (0.25, 4e-3):
+        rate = float(swing(dt, 1.0, 0.0, quadratic=quadratic, gravity=0.0)[1])
+        assert rate == pytest.approx(2.0 / (1.0 + quadratic * length * 2.0 / mass), rel=1e-9)
+
+
+def test_turning_drag_slows_a_link_about_its_axis() -> None:
+    """A wheel on a stand: ``J q'' = -(a + b |q'|) q'``, in the mean of a step with the rate of its start; order 1."""
+    tree = Tree(joints=(Joint(parent=0),), floating=False)
+    links = Links(
+        mass=torch.ones(1, 2, dtype=F64),
+        com=torch.zeros(1, 2, 3, dtype=F64),
+        inertia=0.02 * torch.eye(3, dtype=F64).expand(1, 2, 3, 3),
+    )
+    a, b, inertia, first, span, ends = 0.03, 0.05, 0.02, 4.0, 0.5, []
+    for dt in (4e-3, 2e-3):
+        state = TreeState.at_rest(1, 1, like=links.mass)
+        state.joint_vel[:] = first
+        for _ in range(round(span / dt)):
+            state = implicit_euler(
+                tree, links, (), state, dt, gravity=G, damping=acting(tree, links, state, az=a, bz=b)[0]
+            )
+        ends.append(float(state.joint_vel[0, 0]))
+    fade = exp(-a * span / inertia)
+    expected = a * first * fade / (a + b * first * (1.0 - fade))
+    assert 2.0 * ends[1] - ends[0] == pytest.approx(expected, rel=1e-3)
+
+
+def dragged(mass: float, joints: tuple[JointCfg, ...], drag: dict[str, float], **others: dict[str, float]) -> RobotCfg:
+    """Return a robot of a base of some mass about the origin with links, drag and other effects; its rotors stand still."""
+    robot = ROBOTS.get("base_quadrotor")
+    links = [joint.link for joint in joints if joint.link is not None]
+    masses = torch.tensor([mass, *(link.mass for link in links)], dtype=F64)
+    coms = torch.tensor([(0.0, 0.0, 0.0), *(link.com for link in links)], dtype=F64)
+    com = (masses @ coms) / masses.sum()
+    inertia = 0.02 * torch.eye(3, dtype=F64)
+    for link in links:
+        inertia = inertia + torch.tensor(link.inertia, dtype=F64)
+    for m, lever in zip(masses, coms - com, strict=True):
+        inertia = inertia + m * (lever @ lever * torch.eye(3, dtype=F64) - lever.outer(lever))
+    body = replace(
+        robot.body, mass=float(masses.sum()), com=tuple(com.tolist()), inertia=tuple(map(tuple, inertia.tolist()))
+    )
+    effects = {"link_drag": drag, **others}
+    return replace(
+        robot,
+        body=body,
+        joints=JointsCfg(layout=joints, floating=True, source="test"),
+        effects=effects,
+        effects_source="test",
+    )
+
+
+def arm(name: str, com: tuple[float, float, float], position: tuple[float, float, float], **others: object) -> JointCfg:
+    """Return a hinge about z with a link of 0.1 kg."""
+    lump = ((1e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (0.0, 0.0, 1e-4))
+    defaults = {"axis": (0.0, 0.0, 1.0), "link": LinkCfg(mass=0.1, com=com, inertia=lump)}
+    return JointCfg(name=name, position=position, **(defaults | others))  # type: ignore[arg-type]
+
+
+def model_of(robot: RobotCfg, *, gravity: float = 0.0, num_envs: int = 1) -> tuple[Model, JointedState]:
+    """Return the model, and the robot at rest in the reference pose."""
+    vehicle = vehicle_from_config(robot, num_envs=num_envs, dtype=F64)
+    check_effects(robot)
+    effects = robot_effects(robot, num_envs=num_envs, device=torch.device("cpu"), dtype=F64)
+    articulation = articulation_of(robot, like=vehicle.mass)
+    assert articulation is not None
+    model = build_model(vehicle, effects, gravity=gravity, articulation=articulation)
+    body = state_at_rest(num_envs, vehicle.num_rotors, device=torch.device("cpu"), dtype=F64)
+    joints = articulation.reference.repeat(num_envs, 1)
+    return model, JointedState(**vars(body), joint_pos=joints, joint_vel=torch.zeros_like(joints))
+
+
+def fly(model: Model, state: JointedState, dt: float, steps: int) -> JointedState:
+    """Return the state after some steps with rotors that stand still."""
+    for _ in range(steps):
+        state = jointed_step(model, state, state.rotor_speed, state.joint_pos[:, :0], dt)
+    return state
 
 
 def test_drag_of_a_link_alone_makes_the_terminal_speed_of_the_whole() -> None:
     """A base of 1 kg falls under 0.2 kg on a free joint, which brake it as a parachute does and stay above it:
     ``v = -sqrt(M g / d) tanh(t sqrt(g d / M))``."""
-    tree = Tree(joints=(Joint(parent=0, axis=(0.0, 1.0, 0.0)),))
-    com = torch.tensor([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]]], dtype=F64)
-    inertia = 1e-3 * torch.eye(3, dtype=F64).expand(1, 2, 3, 3)
-    links = Links(mass=torch.tensor([[1.0, 0.2]], dtype=F64), com=com, inertia=inertia)
-    ends, span, whole, quadratic = [], 0.6, 1.2, 1.5
+    above = LinkCfg(mass=0.2, com=(0.0, 0.0, 0.5), inertia=((1e-3, 0.0, 0.0), (0.0, 1e-3, 0.0), (0.0, 0.0, 1e-3)))
+    quadratic, span, ends = 1.5, 0.6, []
+    robot = dragged(1.0, (arm("chute", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0), link=above),), {
+        "chute.qx": quadratic, "chute.qy": quadratic, "chute.qz": quadratic
+    })  # fmt: skip
     for dt in (4e-3, 2e-3):
-        state = TreeState.at_rest(1, 1, like=links.mass)
-        for _ in range(round(span / dt)):
-            wrench = drag(tree, links, state, 0.0, quadratic)
-            state = implicit_euler(tree, links, (), state, dt, gravity=G, wrench=wrench)
-        ends.append(float(state.lin_vel[0, 2]))
+        model, state = model_of(robot, gravity=G)
+        state = fly(model, state, dt, round(span / dt))
         assert cos(float(state.joint_pos[0, 0])) == 1.0
-    terminal = sqrt(whole * G / quadratic)
+        ends.append(float(state.lin_vel[0, 2]))
+    terminal = sqrt(1.2 * G / quadratic)
     assert 2.0 * ends[1] - ends[0] == pytest.approx(-terminal * tanh(span * G / terminal), rel=1e-3)
+
+
+@pytest.mark.parametrize("bent", [0.0, 1.2, -1.2])
+def test_an_arm_that_has_moved_is_felt_where_it_is(bent: float) -> None:
+    """Two arms along y in wind along +x turn nothing. Where the left one points forward, the right one reaches further out: the
+    whole turns about +z, where the right one does, about -z. The torque about the origin is ``d u (y_right - y_left)``."""
+    drag, wind, dt = 0.05, 4.0, 1e-5
+    layout = tuple(arm(n, (0.0, 0.4 * s, 0.0), (0.0, 0.1 * s, 0.0)) for n, s in (("left", 1.0), ("right", -1.0)))
+    air = {"x": wind, "y": 0.0, "z": 0.0}
+    robot = dragged(1.0, layout, {"lx": drag, "ly": drag, "base.lx": 0.0, "base.ly": 0.0}, constant_wind=air)
+    model, state = model_of(robot)
+    angles = torch.tensor([[-max(bent, 0.0), -min(bent, 0.0)]], dtype=F64)  # the left one turns to the right, and so on
+    state = fly(model, replace(state, joint_pos=angles), dt, 1)
+    reach = [0.1 + 0.3 * cos(float(angle)) for angle in state.joint_pos[0]]
+    torque = drag * wind * (reach[1] - reach[0])
+    assert model.articulation is not None
+    links = model.articulation.links(model.vehicle)
+    tree = TreeState(**{name: rows for name, rows in vars(state).items() if name != "rotor_speed"})
+    momentum, spin = momenta(model.articulation.tree, links, tree)
+    torch.testing.assert_close(momentum[0, 0], torch.tensor(2.0 * drag * wind * dt, dtype=F64), rtol=1e-4, atol=0.0)
+    assert float(spin[0, 2]) == pytest.approx(torque * dt, rel=1e-3, abs=1e-15)
+    assert torch.sign(spin[0, 2].round(decimals=15)) == (0.0 if bent == 0.0 else torch.sign(torch.tensor(bent)))
+
+
+@pytest.mark.parametrize("floating", [True, False])
+def test_forces_of_links_are_the_rate_of_momentum(floating: bool) -> None:
+    """Of random trees without weight in wind: ``P' = sum F`` and ``L' = sum (x x F + T)`` of free ones, and the power of
+    F and T, in the world, from velocities that differences of places say: ``F = -R (l + q |u|) R^T u``, and T likewise."""
+    tree, dt = random_tree(5, 1, floating=floating), 1e-6
+    links, state = random_links(tree, 8, 1), random_motion(tree, 8, 1)
+    wind = torch.randn(8, 3, dtype=F64, generator=torch.Generator().manual_seed(2))
+    damping, params = acting(
+        tree, links, state, wind, lx=0.1, ly=0.3, lz=0.05, q=0.2, ax=0.01, ay=0.02, az=0.03, b=0.01
+    )
+
+    def seen(at: TreeState) -> tuple[Tensor, Tensor]:
+        places, turn = place_links(tree, links, at.joint_pos), quat_to_matrix(at.attitude).unsqueeze(1)
+        return at.position.unsqueeze(1) + (turn @ places.com.unsqueeze(-1)).squeeze(-1), turn @ places.rotation
+
+    coasting = implicit_euler(tree, links, (), state, dt, gravity=0.0)
+    drifting = implicit_euler(tree, links, (), state, dt, gravity=0.0, damping=damping)
+    (first, turned), (second, after) = seen(state), seen(coasting)
+    through = (second - first) / dt - wind.unsqueeze(1)
+    rate = (after - turned) / dt @ turned.mT  # the skew matrix of the angular velocity
+    turning = torch.stack((rate[..., 2, 1], rate[..., 0, 2], rate[..., 1, 0]), dim=-1)
+    linear, quadratic, turn, whirl = params.unsqueeze(1).split(3, dim=-1)
+
+    def against(velocity: Tensor, per_speed: Tensor, per_square: Tensor) -> Tensor:
+        own = (turned.mT @ velocity.unsqueeze(-1)).squeeze(-1)
+        own = (per_speed + per_square * own.norm(dim=-1, keepdim=True)) * own
+        return -(turned @ own.unsqueeze(-1)).squeeze(-1)
+
+    force, torque = against(through, linear, quadratic), against(turning, turn, whirl)
+    if floating:
+        expected = (force.sum(1), (torch.linalg.cross(first, force) + torque).sum(1))
+        after_drag, without = momenta(tree, links, drifting), momenta(tree, links, coasting)
+        for found, before, rate in zip(after_drag, without, expected, strict=True):
+            torch.testing.assert_close((found - before) / dt, rate, rtol=1e-4, atol=1e-4)
+    power = (force * (through + wind.unsqueeze(1))).sum((1, 2)) + (torque * turning).sum((1, 2))
+    gained = (kinetic_energy(tree, links, drifting) - kinetic_energy(tree, links, coasting)) / dt
+    torch.testing.assert_close(gained, power, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e4])
+def test_energy_only_falls_in_still_air_however_large_drag_is(size: float) -> None:
+    """Of random trees without weight, links of 0.1 to 1 kg: ``d dt`` is 0.1 kg and more, and 1e3 kg. Held through the step that
+    diverges."""
+    tree, dt = random_tree(5, 4), 0.01
+    links, state = random_links(tree, 16, 4), random_motion(tree, 16, 4)
+    held = state
+    for step in range(30):
+        damping, _ = acting(tree, links, state, l=10.0 * size, q=size, a=0.1 * size, b=0.01 * size)
+        end = implicit_euler(tree, links, (), state, dt, gravity=0.0, damping=damping)
+        assert bool((kinetic_energy(tree, links, end) < kinetic_energy(tree, links, state)).all()), step
+        state = end
+        if size > 1.0 and step < 5:
+            damping, _ = acting(tree, links, held, l=10.0 * size, q=size, a=0.1 * size, b=0.01 * size)
+            held = implicit_euler(tree, links, (), held, dt, gravity=0.0, wrench=damping.held(links))
+    if size > 1.0:
+        assert not bool((kinetic_energy(tree, links, held) < 1e6).any())
+
+
+def test_the_step_with_drag_is_of_order_one() -> None:
+    """Errors beside extrapolated steps, of a random tree that falls in wind."""
+    tree = random_tree(4, 3)
+    links, start = random_links(tree, 2, 3), random_motion(tree, 2, 3)
+    wind = torch.tensor([[1.0, -2.0, 0.5]], dtype=F64).expand(2, -1)
+
+    def end(dt: float) -> Tensor:
+        state = start
+        for _ in range(round(0.04 / dt)):
+            damping, _ = acting(tree, links, state, wind, l=0.2, q=0.3, a=0.01, b=0.01)
+            state = implicit_euler(tree, links, (), state, dt, gravity=G, damping=damping)
+        return torch.cat((state.position, state.lin_vel, state.ang_vel, state.joint_pos, state.joint_vel), dim=-1)
+
+    ends = [end(dt) for dt in (2e-3, 1e-3, 5e-4, 2.5e-4)]
+    exact = ends[3] * 8 / 3 - 2 * ends[2] + ends[1] / 3  # what is left of order 1 and 2 drops out
+    errors = [float((each - exact).norm()) for each in ends[:2]]
+    assert torch.tensor(errors[0] / errors[1]).log2() == pytest.approx(1.0, abs=0.1)
+
+
+def test_what_moves_with_the_air_feels_nothing() -> None:
+    """Without weight at the wind's velocity, arms at rest; and what is let go at rest comes to move so."""
+    wind = {"x": 3.0, "y": -1.0, "z": 0.5}
+    arms = (arm("left", (0.0, 0.4, 0.0), (0.0, 0.1, 0.0)), arm("right", (0.1, -0.4, 0.0), (0.0, -0.1, 0.0)))
+    drag = {"lx": 5.0, "ly": 9.0, "lz": 4.0, "qx": 1.0, "ax": 0.5, "ay": 0.5, "az": 0.5}
+    model, state = model_of(dragged(1.0, arms, drag, constant_wind=wind))
+    velocity = torch.tensor([[3.0, -1.0, 0.5]], dtype=F64)
+    state = fly(model, replace(state, lin_vel=velocity), 0.01, 20)
+    torch.testing.assert_close(state.lin_vel, velocity, rtol=0.0, atol=1e-13)
+    torch.testing.assert_close(state.joint_vel, torch.zeros_like(state.joint_vel), rtol=0.0, atol=1e-12)
+    state = fly(model, replace(state, lin_vel=0.0 * velocity), 0.02, 200)
+    torch.testing.assert_close(state.lin_vel, velocity, rtol=0.0, atol=1e-6)
+
+
+def test_a_number_of_a_link_stands_in_place_of_that_of_all() -> None:
+    """Massless links feel nothing, the base what others do; each axis is the link's own."""
+    robot = ROBOTS.get("morphy")
+    drag = {"qx": 0.1, "lz": 0.2, "azimuth_2.qx": 0.3, "azimuth_2.ay": 0.4, "base.lz": 0.0}
+    robot = replace(robot, effects={"link_drag": drag}, effects_source="test")
+    model, _ = model_of(robot)
+    ((effect, params),) = list(model.effects)
+    assert [p.name for p in effect.parameters] == list(drag)
+    assert effect.parameters[2].meaning == "force per speed squared along x of azimuth_2"
+    velocity = torch.tensor([2.0, 0.0, 0.0, 0.0, 0.0, 1.0], dtype=F64).expand(1, 9, 6)
+    found = effect.damping(velocity, params)[0]  # type: ignore[attr-defined]
+    assert robot.joints is not None
+    expected = torch.tensor([[0.2, 0.0, 0.2, 0.0, 0.0, 0.0]], dtype=F64).repeat(9, 1)
+    expected[0, 2] = 0.0
+    place = robot.joints.link_names.index("azimuth_2")
+    expected[place, 0], expected[place, 4] = 0.6, 0.4
+    torch.testing.assert_close(found, expected)
+    assert model.articulation is not None
+    assert set(model.articulation.link_mass.tolist()) > {0.0}
+
+
+def test_gradients_flow_through_steps() -> None:
+    """For parameters, wind, rates and angles, by differences; at rest in still air too."""
+    arms = (arm("left", (0.0, 0.4, 0.0), (0.0, 0.1, 0.0)), arm("right", (0.1, -0.4, 0.0), (0.0, -0.1, 0.0)))
+    drag = {"lx": 0.1, "qx": 0.3, "qy": 0.2, "right.qz": 0.4, "left.az": 0.01, "bz": 0.02}
+    model, state = model_of(dragged(1.0, arms, drag, constant_wind={"x": 1.0, "y": 0.5, "z": -0.3}))
+    (law, params), (wind, blows) = list(model.effects)
+    assert law.name == "link_drag"
+    inputs = (params, blows, torch.tensor([[0.4, -0.7]], dtype=F64), torch.tensor([[2.0, 1.0]], dtype=F64))
+
+    def end(rows: Tensor, air: Tensor, angle: Tensor, rate: Tensor) -> Tensor:
+        there = replace(model, effects=type(model.effects)([(law, rows), (wind, air)]))
+        after = fly(there, replace(state, joint_pos=angle, joint_vel=rate), 0.01, 3)
+        return torch.cat((after.lin_vel, after.ang_vel, after.joint_vel), dim=-1)
+
+    assert torch.autograd.gradcheck(end, tuple(rows.clone().requires_grad_() for rows in inputs))
+    still = [torch.zeros_like(rows).requires_grad_() for rows in inputs]
+    for slope in torch.autograd.grad(end(*still).sum(), still, allow_unused=True):
+        assert slope is None or bool(slope.isfinite().all())
+
+
+def test_environments_have_numbers_of_their_own() -> None:
+    """Each of a batch moves as it does alone, to rounding, and differently."""
+    arms = (arm("left", (0.0, 0.4, 0.0), (0.0, 0.1, 0.0)),)
+    robot = dragged(1.0, arms, {"qx": 0.1, "left.qx": 0.2}, constant_wind={"x": 3.0, "y": 1.0, "z": 0.0})
+    model, state = model_of(robot, num_envs=3)
+    rows = {"link_drag": torch.tensor([[0.1, 0.2], [0.3, 0.2], [0.1, 0.5]], dtype=F64)}
+    model = replace(model, effects=model.effects.with_params(lambda effect, params: rows.get(effect.name, params)))
+    whole = fly(model, state, 0.01, 10)
+    for env in range(3):
+        alone, start = model_of(robot)
+        own = model.effects.with_params(lambda effect, params, env=env: params[env : env + 1])
+        end = fly(replace(alone, effects=own), start, 0.01, 10)
+        torch.testing.assert_close(end.lin_vel[0], whole.lin_vel[env], rtol=1e-12, atol=1e-14)
+    assert len({round(float(value), 6) for value in whole.lin_vel[:, 0]}) == 3
+
+
+def test_what_cannot_be_is_refused_by_name() -> None:
+    morphy = replace(ROBOTS.get("morphy"), effects_source="test")
+    for robot in (replace(ROBOTS.get("tinyprop"), effects_source="test"), ROBOTS.get("morphy_stiff")):
+        rigid = replace(robot, effects={"link_drag": {"qx": 0.1}}, effects_source="test")
+        with pytest.raises(
+            ConfigError, match="effect link_drag: is of the links .* this one is rigid. Give it rotor_drag"
+        ):
+            check_effects(rigid)
+    vehicle = vehicle_from_config(ROBOTS.get("tinyprop"), num_envs=1, dtype=F64)
+    with pytest.raises(ConfigError, match="this one is rigid"):
+        build_model(vehicle, [(EFFECTS.get("link_drag"), torch.zeros(1, 12, dtype=F64))])
+    with pytest.raises(
+        ConfigError, match=r"no parameter 'azimut_1.qx'. .* \(azimuth_4.lx\). Links: base, elevation_1, "
+    ):
+        check_effects(replace(morphy, effects={"link_drag": {"azimut_1.qx": 0.1}}))
+    with pytest.raises(ConfigError, match="no parameter 'qw'"):
+        check_effects(replace(morphy, effects={"link_drag": {"qw": 0.1}}))
+    with pytest.raises(ConfigError, match="link_drag.elevation_1.qx: elevation_1 has no mass"):
+        check_effects(replace(morphy, effects={"link_drag": {"elevation_1.qx": 0.1}}))
+    with pytest.raises(ConfigError, match=r"link_drag.azimuth_1.qx = -1.0: must lie in \[0, 10000\] N s²/m²"):
+        check_effects(replace(morphy, effects={"link_drag": {"azimuth_1.qx": -1.0}}))
+    articulation = articulation_of(morphy, like=vehicle.mass)
+    bends = vehicle_from_config(morphy, num_envs=1, dtype=F64)
+    twice = [(LinkDrag(), torch.zeros(1, 12, dtype=F64))] * 2
+    with pytest.raises(ConfigError, match="a vehicle has one damping of links at most"):
+        build_model(bends, twice, articulation=articulation)

@@ -11,11 +11,20 @@ from aerial_gym.physics.fused.types import vector_of
 
 
 @cache
-def held_of(num_joints: int) -> Any:
+def air_of(num_joints: int) -> Any:
+    """Return the type of twelve numbers of each link."""
+    return wp.types.matrix(shape=(num_joints + 1, 12), dtype=wp.float32)
+
+
+@cache
+def held_of(num_joints: int, damped: bool = False) -> Any:
     """Return the ``wp.struct`` of what is held through a step: sides on which drives are at their limits, those to which dry
-    friction pushes joints that move, and what springs behind dashpots would give at zero, ``sum k_i z_i`` [N m]."""
+    friction pushes joints that move, what springs behind dashpots would give at zero, ``sum k_i z_i`` [N m], and where the air
+    damps links what ``link_damping.make_link_damping`` gives."""
     vector = vector_of(num_joints)
     fields = {"at_limit": vector, "slips": vector, "crept": vector}
+    if damped:
+        fields["air"] = air_of(num_joints)
     return wp.struct(type("Held", (), {"__annotations__": fields, "__module__": __name__}))
 
 
@@ -48,7 +57,7 @@ def make_creep(articulation: Articulation) -> tuple[wp.Function, wp.Function]:
     return pull, creep_on
 
 
-def make_effort(articulation: Articulation, k: int) -> wp.Function:
+def make_effort(articulation: Articulation, k: int, held_type: Any) -> wp.Function:
     """Return a function (position, rate, commands of all drives, what is held through the step, dt) -> effort less what a step
     at this rate takes off it, and what is added to the joint's inertia: ``f - K q' dt`` and ``C dt + K dt²``."""
     spring = {name: float(rows[0, k]) for name, rows in vars(articulation.spring).items()}
@@ -62,7 +71,7 @@ def make_effort(articulation: Articulation, k: int) -> wp.Function:
         drive_stiffness, drive_damping, limit = articulation.drive_gains[articulation.driven.index(k)].tolist()
     wanted = _make_wanted(articulation, k)
     command_type = vector_of(max(articulation.num_driven, 1))
-    creeping, held_type = float(articulation.creep_stiffness[:, k].sum()), held_of(articulation.num_joints)
+    creeping = float(articulation.creep_stiffness[:, k].sum())
 
     @wp.func
     def effort(q: float, rate: float, command: command_type, held: held_type, dt: float):

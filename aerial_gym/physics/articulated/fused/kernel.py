@@ -11,15 +11,24 @@ from typing import Any
 import warp as wp
 
 from aerial_gym.physics.articulated.articulation import Articulation
-from aerial_gym.physics.articulated.fused.efforts import held_of, make_beyond, make_creep, make_slips
-from aerial_gym.physics.articulated.fused.recursion import Inertia, inertia_of, joint_types, make_recursion, plus
+from aerial_gym.physics.articulated.fused.efforts import make_beyond, make_creep, make_slips
+from aerial_gym.physics.articulated.fused.link_damping import damped_links, make_link_damping
+from aerial_gym.physics.articulated.fused.recursion import (
+    Inertia,
+    com_of,
+    inertia_of,
+    joint_types,
+    make_recursion,
+    plus,
+    slowed,
+)
 from aerial_gym.physics.effects import DelayEffect, WrenchEffect
 from aerial_gym.physics.fused.command import make_command
 from aerial_gym.physics.fused.contact import ContactParameters
 from aerial_gym.physics.fused.functions import rotate, rotate_inverse, small_turn, solve_motion, unit_quat
 from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
 from aerial_gym.physics.fused.law import FusedLaw, NoGains, preparation
-from aerial_gym.physics.fused.loads import make_loads
+from aerial_gym.physics.fused.loads import make_loads, make_wind
 from aerial_gym.physics.fused.memory import make_begin, memory_type
 from aerial_gym.physics.fused.packing import Packing, num_values, types_of, values_type
 from aerial_gym.physics.fused.readers import make_command_reader, make_gains_reader, make_reader, make_vehicle_reader
@@ -91,7 +100,10 @@ def make_jointed_kernel(
     articulation = model.articulation
     assert articulation is not None
     num_rotors, (num_params, num_memory) = model.vehicle.num_rotors, num_values(model)
-    general, types, joints = not model.vehicle.plain, types_of(model), joint_types(articulation.num_joints)
+    links = damped_links(model)
+    damped, damped_base = bool(links), 0 in links
+    general, types = not model.vehicle.plain, types_of(model)
+    joints = joint_types(articulation.num_joints, links)
     vector, params_type, joint_vector = types.vector, values_type(model), joints.vector
     action_type = vector_of(law.num_actions + articulation.num_driven)
     drive_type = vector_of(max(articulation.num_driven, 1))
@@ -112,7 +124,8 @@ def make_jointed_kernel(
     beyond, driven = make_beyond(articulation), bool(articulation.driven)
     slips, rubs = make_slips(articulation.num_joints), articulation.rubs
     (pull, creep_on), num_creep = make_creep(articulation), articulation.num_creep
-    num_joints, held_type = articulation.num_joints, held_of(articulation.num_joints)
+    num_joints, held_type = articulation.num_joints, joints.held
+    damping, wind = (make_link_damping(model, types, joints, base), make_wind(model)) if damped else (None, None)
     dashpot_type = vector_of(max(num_creep * num_joints, 1))
     read_vehicle = make_vehicle_reader(types, packing.vehicle, packing.entries)
     read_command = make_command_reader(types, packing.command, packing.command_entries)
@@ -145,6 +158,8 @@ def make_jointed_kernel(
                 push = wp.spatial_top(more)
                 own.force -= push
                 own.torque -= wp.spatial_bottom(more) + wp.cross(vehicle.com, push)
+            if wp.static(damped_base):
+                own = slowed(own, wp.identity(n=3, dtype=float), com_of(own), given.air, 0, dt)
             turn, rise = solve(plus(carried, own))
         return vel + dt * way_back(kept, turn, rise), turn, rise
 
@@ -160,6 +175,8 @@ def make_jointed_kernel(
         move = rotate_inverse(q, v)
         held = rotate_inverse(q, wp.vec3(0.0, 0.0, gravity))
         given = held_type()
+        if wp.static(damped):
+            given.air = damping(vehicle, params, pos, vel, w, move, rotate_inverse(q, wind(x + com, params)), held, dt)
         if wp.static(num_creep > 0):
             given.crept = pull(crept)
         if wp.static(driven):

@@ -18,7 +18,7 @@ from typing import Any
 import warp as wp
 
 from aerial_gym.physics.articulated.articulation import Articulation
-from aerial_gym.physics.articulated.fused.efforts import held_of, make_effort
+from aerial_gym.physics.articulated.fused.efforts import air_of, held_of, make_effort
 from aerial_gym.physics.fused.types import RotorTypes, vector_of
 
 
@@ -68,6 +68,39 @@ def inertia_of(mass: float, com: wp.vec3, about: wp.mat33, ang_vel: wp.vec3, lin
     return own
 
 
+@wp.func
+def com_of(own: Inertia) -> wp.vec3:
+    """Return the centre of mass of one rigid link from its origin [m]."""
+    return (1.0 / own.push[0, 0]) * wp.vec3(own.mixed[2, 1], own.mixed[0, 2], own.mixed[1, 0])
+
+
+@wp.func
+def slowed(own: Inertia, rotation: wp.mat33, com: wp.vec3, air: Any, link: int, dt: float) -> Inertia:
+    """Return that of a link that the air damps at the end of a step: ``dt D`` beside its mass.
+
+    Args:
+        own: Of the link.
+        rotation: Its axes to those of the base.
+        com: Its centre of mass from its origin [m].
+        air: What damps each link, as ``link_damping.make_link_damping`` gives it.
+        link: Number of the link.
+        dt: Length of the step [s].
+    """
+    after = own
+    force = rotation * wp.vec3(air[link, 0], air[link, 1], air[link, 2])
+    torque = rotation * wp.vec3(air[link, 3], air[link, 4], air[link, 5])
+    back = wp.transpose(rotation)
+    push = dt * (rotation * wp.diag(wp.vec3(air[link, 6], air[link, 7], air[link, 8])) * back)
+    lever = wp.skew(com)
+    mixed = lever * push
+    after.push += push
+    after.mixed += mixed
+    after.turn += dt * (rotation * wp.diag(wp.vec3(air[link, 9], air[link, 10], air[link, 11])) * back) - mixed * lever
+    after.force -= force
+    after.torque -= torque + wp.cross(com, force)
+    return after
+
+
 @dataclass(frozen=True)
 class JointTypes:
     """Types of a vehicle with D joints."""
@@ -78,9 +111,18 @@ class JointTypes:
     way_back: Any
     """``wp.struct`` of what is kept of each joint until the acceleration of the base is known."""
 
+    held: Any
+    """``wp.struct`` of what is held through a step."""
 
-def joint_types(num_joints: int) -> JointTypes:
-    """Return the types for a number of joints."""
+    air: Any
+    """Twelve numbers of each link, of what the air does to it."""
+
+    damped: frozenset[int]
+    """Links that the air damps."""
+
+
+def joint_types(num_joints: int, damped: frozenset[int] = frozenset()) -> JointTypes:
+    """Return the types for a number of joints, and for the links that the air damps."""
     vector, rows = vector_of(num_joints), wp.types.matrix(shape=(num_joints, 3), dtype=wp.float32)
     fields = {
         "free": vector,  # acceleration of the joint where its parent has none
@@ -92,7 +134,7 @@ def joint_types(num_joints: int) -> JointTypes:
         "swing": rows,
     }
     struct = wp.struct(type("WayBack", (), {"__annotations__": fields, "__module__": __name__}))
-    return JointTypes(vector, struct)
+    return JointTypes(vector, struct, held_of(num_joints, bool(damped)), air_of(num_joints), damped)
 
 
 def make_recursion(
@@ -106,7 +148,7 @@ def make_recursion(
     The way back: (kept, angular acceleration and acceleration of the base, weight not taken off it) -> accelerations of joints.
     """
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
-    command_type, held_type = vector_of(max(articulation.num_driven, 1)), held_of(articulation.num_joints)
+    command_type, held_type = vector_of(max(articulation.num_driven, 1)), joints.held
     links = [_make_link(articulation, k, types, joints) for k in range(articulation.num_joints)]
     inward, back = _make_nothing(types, joints, command_type)
     into: dict[int, wp.Function] = {}
@@ -154,7 +196,7 @@ def _children(
 def _make_nothing(types: RotorTypes, joints: JointTypes, command_type: Any) -> tuple[wp.Function, wp.Function]:
     """Return the functions of a link that carries nothing."""
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
-    held_type = held_of(vector._length_)
+    held_type = joints.held
 
     @wp.func
     def nothing_in(
@@ -236,20 +278,45 @@ def carry(of: Inertia, lever: wp.vec3) -> Inertia:
     return after
 
 
+@dataclass(frozen=True)
+class Shape:
+    """Where a joint and the link on it are, as numbers in the code."""
+
+    revolute: bool
+    axis: wp.vec3
+    """In the joint's frame."""
+
+    offset: wp.vec3
+    """From the origin of the parent in the reference pose [m], its axes."""
+
+    reference: float
+    """Coordinate in the reference pose [rad] or [m]."""
+
+    com: wp.vec3
+    """Centre of mass from the origin of the link [m], its axes."""
+
+
+def shape_of(articulation: Articulation, k: int) -> Shape:
+    """Return where joint k and its link are."""
+    joint, reference = articulation.tree.joints[k], float(articulation.reference[k])
+    axis, offset = wp.vec3(*joint.axis), wp.vec3(*joint.position)
+    revolute = joint.kind == "revolute"
+    if not revolute:
+        offset = offset + reference * axis
+    com = wp.vec3(*(articulation.link_com[k] - articulation.origins[k + 1]).tolist())
+    return Shape(revolute, axis, offset, reference, com)
+
+
 def _make_link(articulation: Articulation, k: int, types: RotorTypes, joints: JointTypes) -> Any:
     """Return what makes the way in through joint k of that through what its link carries."""
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
-    command_type, held_type = vector_of(max(articulation.num_driven, 1)), held_of(articulation.num_joints)
-    joint, revolute = articulation.tree.joints[k], articulation.tree.joints[k].kind == "revolute"
-    own_axis, offset = wp.vec3(*joint.axis), wp.vec3(*joint.position)
-    reference = float(articulation.reference[k])
-    if not revolute:
-        offset = offset + reference * own_axis
+    command_type, held_type = vector_of(max(articulation.num_driven, 1)), joints.held
+    shape, damped = shape_of(articulation, k), k + 1 in joints.damped
+    revolute, own_axis, offset, reference, com = shape.revolute, shape.axis, shape.offset, shape.reference, shape.com
     mass = float(articulation.link_mass[k])
-    com = wp.vec3(*(articulation.link_com[k] - articulation.origins[k + 1]).tolist())
     inertia = wp.mat33(*articulation.link_inertia[k].flatten().tolist())
     has_mass, has_inertia = mass > 0.0, bool(articulation.link_inertia[k].any())
-    effort, rotors = make_effort(articulation, k), _make_rotors(articulation, k + 1, types)
+    effort, rotors = make_effort(articulation, k, held_type), _make_rotors(articulation, k + 1, types)
 
     def around(carried: wp.Function) -> wp.Function:
         @wp.func
@@ -288,6 +355,8 @@ def _make_link(articulation: Articulation, k: int, types: RotorTypes, joints: Jo
                     about = turned * inertia * wp.transpose(turned)
                 whole = plus(whole, inertia_of(wp.static(mass), turned * com, about, turn, move))
             whole = rotors(vehicle, thrusts, drags, turned, whole)
+            if wp.static(damped):
+                whole = slowed(whole, turned, turned * com, held.air, wp.static(k + 1), dt)
             acts, stiff = effort(q, vel[k], command, held, dt)
             if wp.static(revolute):
                 by_turn = whole.turn * axis

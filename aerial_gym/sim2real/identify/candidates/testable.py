@@ -33,8 +33,7 @@ def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Fl
         return reason
     try:
         check_rotors(effect, robot.rotor_traits)
-        if robot.joints is not None:
-            check_joints(effect)
+        check_joints(effect, bends=robot.joints is not None)
         effect.check(robot)
     except ConfigError as error:
         return str(error)

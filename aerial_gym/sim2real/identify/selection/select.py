@@ -143,6 +143,11 @@ def select_effects(
     sought = [name for name in named if EFFECTS.get(name).sought]
     if candidates is not None and len(sought) < len(named):
         wrong = next(name for name in named if name not in sought)
+        if not EFFECTS.get(wrong).on_rigid:
+            raise ConfigError(
+                f"{wrong} acts on links where they are, and vehicles are taken as rigid in their reference pose here: a robot "
+                "file with joints may hold it, but it cannot be asked for"
+            )
         raise ConfigError(
             f"{wrong} is random and predicts no row: it is looked for in what remains, and cannot be asked for"
             if EFFECTS.get(wrong).random

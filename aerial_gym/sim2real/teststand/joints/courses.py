@@ -17,11 +17,11 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.math.quaternion import quat_normalize, quat_rotate_inverse
 from aerial_gym.physics import build_model, vehicle_from_config
-from aerial_gym.physics.articulated.articulation import Articulation, articulation_of
+from aerial_gym.physics.articulated.articulation import articulation_of
 from aerial_gym.physics.articulated.dynamics import equations
-from aerial_gym.physics.articulated.flight import link_wrenches
+from aerial_gym.physics.articulated.flight import link_damping, link_wrenches
 from aerial_gym.physics.articulated.tree import Links, TreeState
-from aerial_gym.physics.model import robot_effects
+from aerial_gym.physics.model import Model, robot_effects
 from aerial_gym.physics.rotor_lag import follow_command
 from aerial_gym.physics.state import BodyState
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
@@ -150,13 +150,18 @@ def checked_rate(log: FlightLog, bandwidth: float) -> float:
 
 def _efforts(robot: RobotCfg, state: TreeState, rotors: torch.Tensor, acc: torch.Tensor) -> torch.Tensor:
     """Return the efforts of joints (T, D) for a motion and its accelerations (T, 6 + D): inverse dynamics."""
-    articulation, links, wrench = pushed_links(robot, state, rotors)
+    model, links, wrench = pushed_links(robot, state, rotors)
+    articulation = model.articulation
+    assert articulation is not None
+    damping = link_damping(model, articulation, links, state)
+    if damping is not None:
+        wrench = wrench + damping.held(links)
     found = equations(articulation.tree, links, state, gravity=STANDARD_GRAVITY, wrench=wrench)
     return ((found.mass @ acc.unsqueeze(-1)).squeeze(-1) - found.force)[:, 6:]
 
 
-def pushed_links(robot: RobotCfg, base: TreeState, rotors: torch.Tensor) -> tuple[Articulation, Links, torch.Tensor]:
-    """Return how a robot bends, its links in T rows, and what rotors and effects do to each, (T, L, 6).
+def pushed_links(robot: RobotCfg, base: TreeState, rotors: torch.Tensor) -> tuple[Model, Links, torch.Tensor]:
+    """Return a robot that bends, its links in T rows, and what rotors and effects on the whole do to each, (T, L, 6).
 
     Args:
         robot: As declared.
@@ -176,8 +181,7 @@ def pushed_links(robot: RobotCfg, base: TreeState, rotors: torch.Tensor) -> tupl
         ang_vel=base.ang_vel,
         rotor_speed=rotors,
     )
-    wrench = link_wrenches(model, articulation, body, torch.zeros_like(rotors))
-    return articulation, articulation.links(model.vehicle), wrench
+    return model, articulation.links(model.vehicle), link_wrenches(model, articulation, body, torch.zeros_like(rotors))
 
 
 def rotor_states(robot: RobotCfg, log: FlightLog) -> Array:

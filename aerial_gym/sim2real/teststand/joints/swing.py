@@ -118,7 +118,9 @@ class Swing:
         self.rides, self.bandwidth, self.rate = tuple(rides), bandwidth, rides[0].rate
         self.warm, self.held = round(SETTLE_S * self.rate), round(DAMPED_S * self.rate)
         first = TreeState(**{name: rows[:1] for name, rows in vars(rides[0].base).items()})
-        self._articulation, links, _ = pushed_links(robot, first, torch.zeros(1, robot.num_rotors).double())
+        model, links, _ = pushed_links(robot, first, torch.zeros(1, robot.num_rotors).double())
+        assert model.articulation is not None
+        self._articulation = model.articulation
         self._links = Links(mass=links.mass[:1], com=links.com[:1], inertia=links.inertia[:1])
         used = round(USED_S * self.rate)
         self._pieces = [len(range(self.warm, len(ride.wrench), used)) for ride in rides]

@@ -1,0 +1,86 @@
+"""What damps the motion of links through the air, and how a step takes it at its end.
+
+With ``F = -D u`` in axes of the link, u the velocity of its centre of mass c through the air, and the rate of u in these axes
+``u' = a_c - w x v_c + w x wind``, the force at the end of a step is ``-D (u + u' dt)`` with the D of its start, and the torque
+likewise by the angular velocity. What of it follows the accelerations stands in the mass matrix: ``M + dt sum J^T D J``. So
+no D is too large for a step.
+Letters: E environments, L links, N coordinates of motion.
+
+Source: Hairer, Wanner (1996), Solving Ordinary Differential Equations II, section IV.8 (linearly implicit Euler).
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from aerial_gym.physics.articulated.dynamics import Equations
+from aerial_gym.physics.articulated.motion import Places, cross, move_links, moving, place_links, turning
+from aerial_gym.physics.articulated.tree import Links, Tree
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkDamping:
+    """What damps each link at the start of a step; all in axes of the link."""
+
+    velocity: Tensor
+    """Of the centres of mass through the air [m/s], and angular velocity [rad/s], (E, L, 6)."""
+
+    damping: Tensor
+    """D [N s/m, N m s/rad], (E, L, 6)."""
+
+    turned_wind: Tensor
+    """``w x wind`` [m/s²], (E, L, 3)."""
+
+    def held(self, links: Links) -> Tensor:
+        """Return force [N] at the origin of each link and torque [N m], (E, L, 6), as they are at the start of the step."""
+        force, torque = (-self.damping * self.velocity).split(3, dim=-1)
+        return torch.cat((force, torque + cross(links.com.expand_as(force), force)), dim=-1)
+
+
+def motion_in_air(
+    tree: Tree, links: Links, joint_pos: Tensor, joint_vel: Tensor, lin_vel: Tensor, ang_vel: Tensor, wind: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return ``LinkDamping.velocity`` and ``turned_wind``.
+
+    Args:
+        tree: How links hang together.
+        links: What they weigh.
+        joint_pos: Of the joints, (E, D).
+        joint_vel: Their rates, (E, D).
+        lin_vel: Of the base's origin [m/s], axes of the base, (E, 3).
+        ang_vel: Of the base [rad/s], axes of the base, (E, 3).
+        wind: Velocity of the air [m/s], axes of the base, (E, 3).
+    """
+    places = place_links(tree, links, joint_pos)
+    motion = move_links(tree, places, lin_vel, ang_vel, joint_vel)
+    through = motion.lin_vel + cross(motion.ang_vel, places.com - places.origin) - wind.unsqueeze(1)
+    turned = cross(motion.ang_vel, wind.unsqueeze(1).expand_as(through))
+    own = [_to_link(places, part) for part in (through, motion.ang_vel, turned)]
+    return torch.cat(own[:2], dim=-1), own[2]
+
+
+def damped(tree: Tree, found: Equations, acts: LinkDamping, dt: float) -> Equations:
+    """Return equations of motion under damping that is taken at the end of a step of ``dt`` [s].
+
+    What swinging adds to ``u'`` is that of the rates at which the equations take it.
+    """
+    places, motion = found.places, found.motion
+    pushes, turns = moving(tree, places, places.com), turning(tree, places)
+    along, about = acts.damping.split(3, dim=-1)
+    com_vel = motion.lin_vel + cross(motion.ang_vel, places.com - places.origin)
+    swing = _to_link(places, motion.com_acc - cross(motion.ang_vel, com_vel)) + acts.turned_wind
+    bend = _to_link(places, motion.ang_acc)
+    through, turn = (acts.velocity + dt * torch.cat((swing, bend), dim=-1)).split(3, dim=-1)
+    mass, force = found.mass, found.force
+    for jacobian, damping, value in ((pushes, along, through), (turns, about, turn)):
+        own = places.rotation.mT @ jacobian  # (E, L, 3, N), axes of the link
+        slowed = damping.unsqueeze(-1) * own
+        mass = mass + dt * torch.einsum("elan,elam->enm", own, slowed)
+        force = force - torch.einsum("elan,ela->en", slowed, value)
+    return replace(found, mass=mass, force=force)
+
+
+def _to_link(places: Places, vectors: Tensor) -> Tensor:
+    """Return vectors (E, L, 3) in axes of the base in those of their links."""
+    return (places.rotation.mT @ vectors.unsqueeze(-1)).squeeze(-1)
