@@ -146,7 +146,7 @@ def _check_held(links: Links, acts: LinkDamping, dt: float) -> None:
         if bool(((size > 0.0) & (dt * damping > size)).any()):
             ratio = float((dt * damping / size)[size > 0.0].nan_to_num(0.0).max())
             raise CapabilityError(
-                f"backend mujoco: holds drag of links through a step of {dt:g} s, which would take {ratio:.3g} times what "
-                f"moves one: drag per speed times the step must stay below its {what}. Use backend 'torch' or 'warp', or shorter "
-                "steps"
+                f"backend mujoco: holds drag of links through a step of {dt:g} s, which would take {ratio:.3g} times the speed "
+                f"of one: drag per speed times the step must stay below its {what}. Use backend 'torch' or 'warp', or "
+                "shorter steps"
             )
