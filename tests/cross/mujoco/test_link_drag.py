@@ -94,8 +94,8 @@ def mujoco_backend() -> Any:
 
 @pytest.mark.parametrize("name", ["morphy", "morphy_fixed_base"])
 def test_the_backend_flies_as_torch_does_to_the_order_of_the_step(name: str) -> None:
-    """Drag is held there and taken at the end here: after a number of steps they are off by ``dt²`` in the limit, and by less than
-    half at half of it where soft arms do not follow yet."""
+    """Drag is held there and taken at the end here: after a number of steps they are off by ``dt²`` in the limit, and by less
+    than half at half of it where soft arms do not follow yet."""
     robot, off = with_drag(name, OF_ALL), []
     for dt in (2e-4, 1e-4):
         ends = [

@@ -14,7 +14,7 @@ from aerial_gym.math.quaternion import quat_rotate_inverse, quat_to_matrix
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.articulated.articulation import articulation_of
 from aerial_gym.physics.articulated.dynamics import kinetic_energy, momenta
-from aerial_gym.physics.articulated.flight import jointed_step
+from aerial_gym.physics.articulated.flight import jointed_step, link_damping
 from aerial_gym.physics.articulated.link_damping import LinkDamping, motion_in_air
 from aerial_gym.physics.articulated.motion import place_links
 from aerial_gym.physics.articulated.steppers import implicit_euler
@@ -288,7 +288,7 @@ def test_what_moves_with_the_air_feels_nothing() -> None:
 
 
 def test_a_number_of_a_link_stands_in_place_of_that_of_all() -> None:
-    """Massless links feel nothing, the base what others do; each axis is the link's own."""
+    """A link that moves at 2 m/s along its x and turns about its z at 1 rad/s, and one at rest."""
     robot = ROBOTS.get("morphy")
     drag = {"qx": 0.1, "lz": 0.2, "azimuth_2.qx": 0.3, "azimuth_2.ay": 0.4, "base.lz": 0.0}
     robot = replace(robot, effects={"link_drag": drag}, effects_source="test")
@@ -304,8 +304,20 @@ def test_a_number_of_a_link_stands_in_place_of_that_of_all() -> None:
     place = robot.joints.link_names.index("azimuth_2")
     expected[place, 0], expected[place, 4] = 0.6, 0.4
     torch.testing.assert_close(found, expected)
+    expected[:, 0], expected[place, 4] = 0.0, 0.4
+    torch.testing.assert_close(effect.damping(0.0 * velocity, params)[0], expected)  # type: ignore[attr-defined]
+
+
+def test_links_without_mass_feel_nothing_and_the_base_what_others_do() -> None:
+    """Of morphy's universal joints: five of nine links have mass."""
+    robot = replace(ROBOTS.get("morphy"), effects={"link_drag": {"lx": 0.1}}, effects_source="test")
+    model, state = model_of(robot)
     assert model.articulation is not None
-    assert set(model.articulation.link_mass.tolist()) > {0.0}
+    links = model.articulation.links(model.vehicle)
+    tree = TreeState(**{name: rows for name, rows in vars(state).items() if name != "rotor_speed"})
+    acts = link_damping(model, model.articulation, links, tree)
+    assert acts is not None
+    assert acts.damping[0, :, 0].tolist() == [0.1, 0.0, 0.1, 0.0, 0.1, 0.0, 0.1, 0.0, 0.1]
 
 
 def test_gradients_flow_through_steps() -> None:
