@@ -159,7 +159,7 @@ def make_jointed_kernel(
                 own.force -= push
                 own.torque -= wp.spatial_bottom(more) + wp.cross(vehicle.com, push)
             if wp.static(damped_base):
-                own = slowed(own, wp.identity(n=3, dtype=float), com_of(own), given.air, 0, dt)
+                own = slowed(own, wp.identity(n=3, dtype=float), com_of(own), given.air, 0, dt)  # its row is the first
             turn, rise = solve(plus(carried, own))
         return vel + dt * way_back(kept, turn, rise), turn, rise
 

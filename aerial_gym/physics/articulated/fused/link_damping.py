@@ -14,12 +14,12 @@ from aerial_gym.physics.fused.types import RotorTypes
 from aerial_gym.physics.model import Model
 
 
-def damped_links(model: Model) -> frozenset[int]:
+def damped_links(model: Model) -> tuple[int, ...]:
     """Return the numbers of the links that the air damps; one that stands still, or has no mass, is none."""
     articulation = model.articulation
     assert articulation is not None
     able = [articulation.tree.floating, *(articulation.link_mass > 0.0).tolist()]
-    return frozenset(
+    return tuple(
         link
         for effect, _ in model.effects[LinkEffect]
         for link, moves in enumerate(able)
@@ -29,10 +29,10 @@ def damped_links(model: Model) -> frozenset[int]:
 
 def make_link_damping(model: Model, types: RotorTypes, joints: JointTypes, base: wp.Function) -> wp.Function:
     """Return a function to what damps each link: (vehicle, values of all effects, position of joints, their rate, angular
-    velocity and velocity of the base, wind, acceleration that weight takes, dt) -> ``Held.air``, (L, 12).
+    velocity and velocity of the base, wind, acceleration that weight takes, dt) -> ``Held.air``.
 
-    Vectors are in axes of the base. A row is of a link, in its axes: force [N] at the centre of mass and torque [N m] where the
-    link accelerates as its weight is held, and D along and about each axis.
+    Vectors are in axes of the base. A row is of a damped link, in its axes: force [N] at the centre of mass and torque [N m]
+    where the link accelerates as its weight is held, and D along and about each axis.
 
     Args:
         model: With the effect on its links.
@@ -137,6 +137,7 @@ def _make_row(model: Model, joints: JointTypes, link: int) -> wp.Function | None
     ((effect, _),) = model.effects[LinkEffect]
     (pick,) = pickers(model)[LinkEffect]
     twin, get, params_type, air_type = effect.warp_damping(link), pick.get, values_type(model), joints.air
+    place = joints.damped.index(link)
 
     @wp.func
     def row(
@@ -152,10 +153,10 @@ def _make_row(model: Model, joints: JointTypes, link: int) -> wp.Function | None
         about = wp.spatial_bottom(damping)
         force = wp.cw_mul(along, dt * (back * (weight - wp.cross(ang_vel, wind))) - through)
         for i in range(3):
-            after[link, i] = force[i]
-            after[link, 3 + i] = -about[i] * turn[i]
-            after[link, 6 + i] = along[i]
-            after[link, 9 + i] = about[i]
+            after[place, i] = force[i]
+            after[place, 3 + i] = -about[i] * turn[i]
+            after[place, 6 + i] = along[i]
+            after[place, 9 + i] = about[i]
         return after
 
     return row

@@ -75,27 +75,27 @@ def com_of(own: Inertia) -> wp.vec3:
 
 
 @wp.func
-def slowed(own: Inertia, rotation: wp.mat33, com: wp.vec3, air: Any, link: int, dt: float) -> Inertia:
+def slowed(own: Inertia, rotation: wp.mat33, com: wp.vec3, air: Any, row: int, dt: float) -> Inertia:
     """Return that of a link that the air damps at the end of a step: ``dt D`` beside its mass.
 
     Args:
         own: Of the link.
         rotation: Its axes to those of the base.
         com: Its centre of mass from its origin [m].
-        air: What damps each link, as ``link_damping.make_link_damping`` gives it.
-        link: Number of the link.
+        air: What damps links, as ``link_damping.make_link_damping`` gives it.
+        row: Of this link.
         dt: Length of the step [s].
     """
     after = own
-    force = rotation * wp.vec3(air[link, 0], air[link, 1], air[link, 2])
-    torque = rotation * wp.vec3(air[link, 3], air[link, 4], air[link, 5])
+    force = rotation * wp.vec3(air[row, 0], air[row, 1], air[row, 2])
+    torque = rotation * wp.vec3(air[row, 3], air[row, 4], air[row, 5])
     back = wp.transpose(rotation)
-    push = dt * (rotation * wp.diag(wp.vec3(air[link, 6], air[link, 7], air[link, 8])) * back)
+    push = dt * (rotation * wp.diag(wp.vec3(air[row, 6], air[row, 7], air[row, 8])) * back)
     lever = wp.skew(com)
     mixed = lever * push
     after.push += push
     after.mixed += mixed
-    after.turn += dt * (rotation * wp.diag(wp.vec3(air[link, 9], air[link, 10], air[link, 11])) * back) - mixed * lever
+    after.turn += dt * (rotation * wp.diag(wp.vec3(air[row, 9], air[row, 10], air[row, 11])) * back) - mixed * lever
     after.force -= force
     after.torque -= torque + wp.cross(com, force)
     return after
@@ -115,13 +115,13 @@ class JointTypes:
     """``wp.struct`` of what is held through a step."""
 
     air: Any
-    """Twelve numbers of each link, of what the air does to it."""
+    """Twelve numbers of each link that the air damps, of what it does to it."""
 
-    damped: frozenset[int]
-    """Links that the air damps."""
+    damped: tuple[int, ...]
+    """These links, in the order of their rows."""
 
 
-def joint_types(num_joints: int, damped: frozenset[int] = frozenset()) -> JointTypes:
+def joint_types(num_joints: int, damped: tuple[int, ...]) -> JointTypes:
     """Return the types for a number of joints, and for the links that the air damps."""
     vector, rows = vector_of(num_joints), wp.types.matrix(shape=(num_joints, 3), dtype=wp.float32)
     fields = {
@@ -134,7 +134,7 @@ def joint_types(num_joints: int, damped: frozenset[int] = frozenset()) -> JointT
         "swing": rows,
     }
     struct = wp.struct(type("WayBack", (), {"__annotations__": fields, "__module__": __name__}))
-    return JointTypes(vector, struct, held_of(num_joints, bool(damped)), air_of(num_joints), damped)
+    return JointTypes(vector, struct, held_of(num_joints, len(damped)), air_of(len(damped)), damped)
 
 
 def make_recursion(
@@ -312,6 +312,7 @@ def _make_link(articulation: Articulation, k: int, types: RotorTypes, joints: Jo
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
     command_type, held_type = vector_of(max(articulation.num_driven, 1)), joints.held
     shape, damped = shape_of(articulation, k), k + 1 in joints.damped
+    row = joints.damped.index(k + 1) if damped else 0
     revolute, own_axis, offset, reference, com = shape.revolute, shape.axis, shape.offset, shape.reference, shape.com
     mass = float(articulation.link_mass[k])
     inertia = wp.mat33(*articulation.link_inertia[k].flatten().tolist())
@@ -356,7 +357,7 @@ def _make_link(articulation: Articulation, k: int, types: RotorTypes, joints: Jo
                 whole = plus(whole, inertia_of(wp.static(mass), turned * com, about, turn, move))
             whole = rotors(vehicle, thrusts, drags, turned, whole)
             if wp.static(damped):
-                whole = slowed(whole, turned, turned * com, held.air, wp.static(k + 1), dt)
+                whole = slowed(whole, turned, turned * com, held.air, wp.static(row), dt)
             acts, stiff = effort(q, vel[k], command, held, dt)
             if wp.static(revolute):
                 by_turn = whole.turn * axis
