@@ -127,7 +127,8 @@ def bound_of(start: Start, first: int) -> Bound:
     """
     seen: list[Bound] = []
 
-    def stepper(tree, links, laws, before, dt, *, gravity, drive, friction, wrench):
+    def stepper(tree, links, laws, before, dt, *, gravity, drive, friction, wrench, damping):
+        assert damping is None
         used: list[tuple[Effort, Equations]] = []
 
         def step(acts: Effort, swings: TreeState) -> TreeState:

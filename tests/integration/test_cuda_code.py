@@ -20,7 +20,9 @@ from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.interop import start_warp
 from aerial_gym.interop.rows import RowFunction
 from aerial_gym.physics import EFFECTS, Ground, WarpBackend, build_model, vehicle_from_config
+from aerial_gym.physics.articulated.articulation import articulation_of
 from aerial_gym.physics.effects import LearnedResidual
+from aerial_gym.physics.model import robot_effects
 from aerial_gym.robots import ROBOTS, derived, initial_state
 from aerial_gym.sensors import flow, imu, places, view
 from aerial_gym.sensors.cells import LANES, ROWS, make_pool
@@ -83,6 +85,18 @@ def test_physics_kernels_compile(controller: str, integrator: str, names: Sequen
     backend = WarpBackend()
     law = make_controller(CONTROLLERS.get(controller), vehicle, 9.81, dt=0.01)
     backend.allocate(build_model(vehicle, effects, ceiling_height=3.0), law, integrator=integrator)
+    compile_for_gpu(backend.kernel.module)
+
+
+@pytest.mark.slow
+def test_the_physics_kernel_of_links_with_drag_compiles() -> None:
+    """On a stand, where the kernel is smallest."""
+    robot = replace(ROBOTS.get("morphy_fixed_base"), effects={"link_drag": {"qx": 0.1}}, effects_source="test")
+    vehicle = vehicle_from_config(robot, num_envs=2)
+    effects = robot_effects(robot, num_envs=2, device=torch.device("cpu"), dtype=torch.float32)
+    model = build_model(vehicle, effects, articulation=articulation_of(robot, like=vehicle.mass))
+    backend = WarpBackend()
+    backend.allocate(model, make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81), integrator="euler")
     compile_for_gpu(backend.kernel.module)
 
 
