@@ -10,7 +10,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import TypeVar
 
-from aerial_gym.config.loader import CONFIG_DIR, build, read_yaml, shown, to_mapping
+from aerial_gym.config.loader import build, files_of, read_yaml, shown, to_mapping
 from aerial_gym.config.sensor_mount import is_file
 from aerial_gym.errors import ConfigError
 
@@ -25,34 +25,34 @@ def load_extended(
     Args:
         cls: As for ``build``.
         path: The file.
-        family: Folder of the package in which names are looked up.
+        family: Folder of the package in which, and in whose rooms, names are looked up.
         located: Returns a configuration whose paths, relative to a folder, are found from anywhere.
 
     Raises:
         ConfigError: As ``build`` does; if there is no such base, it extends itself, or nothing has a name that is changed.
     """
-    return _load(cls, Path(path), CONFIG_DIR / family, located, ())
+    return _load(cls, Path(path), family, located, ())
 
 
-def _load(cls: type[T], path: Path, named: Path, located: Callable[[T, Path], T], above: tuple[Path, ...]) -> T:
+def _load(cls: type[T], path: Path, family: str, located: Callable[[T, Path], T], above: tuple[Path, ...]) -> T:
     data, itself = read_yaml(path), path.resolve()
     if itself in above:
         names = " -> ".join(file.name for file in (*above[above.index(itself) :], itself))
         raise ConfigError(f"{path}: extends itself ({names})")
     if "extends" in data:
-        base = _load(cls, _base_of(path, data.pop("extends"), named), named, located, (*above, itself))
+        base = _load(cls, _base_of(path, data.pop("extends"), family), family, located, (*above, itself))
         data = _on_top(to_mapping(base), data, str(path))
     return located(build(cls, data, where=str(path)), itself.parent)
 
 
-def _base_of(path: Path, name: object, named: Path) -> Path:
+def _base_of(path: Path, name: object, family: str) -> Path:
     if not isinstance(name, str):
         raise ConfigError(f"{path}: extends = {shown(name)}: must be one name, or the path of a .yaml file")
     if is_file(name):
         return path.resolve().parent / name
-    known = sorted(file.stem for file in named.glob("*.yaml"))
+    known = files_of(family)
     if name in known:
-        return named / f"{name}.yaml"
+        return known[name]
     near = get_close_matches(name, known, n=1)
     hint = f" Did you mean {near[0]!r}?" if near else ""
     raise ConfigError(

@@ -22,6 +22,12 @@ CONFIG_DIR = Path(__file__).parent
 """Folder of the configurations that come with the package."""
 
 
+def files_of(family: str) -> dict[str, Path]:
+    """Return the files of a family (a folder of ``CONFIG_DIR``) by name, whichever of its rooms they are in."""
+    found = sorted((CONFIG_DIR / family).rglob("*.yaml"), key=lambda path: path.stem)
+    return {path.stem: path for path in found}
+
+
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """The safe loader; the one in C, ten times as fast, where PyYAML has it."""
 

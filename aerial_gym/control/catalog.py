@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from aerial_gym.config import CONFIG_DIR, load
+from aerial_gym.config import CONFIG_DIR, files_of, load
 from aerial_gym.config.autopilots.betaflight import BetaflightCfg
 from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyfliePidCfg, MellingerCfg
 from aerial_gym.config.autopilots.px4 import Px4Cfg
@@ -64,7 +64,7 @@ for _name, _kind, _own in (
 
 def _gains_of(robot: str) -> LeeGainsCfg:
     """Return the published gains in a robot file."""
-    path = CONFIG_DIR / "robots" / f"{robot}.yaml"
+    path = files_of("robots")[robot]
     control = read_yaml(path)["control"]
     return build(LeeGainsCfg, control["gains"], where=f"{path}: control: gains")  # type: ignore[index]
 

@@ -2,13 +2,13 @@
 
 from functools import partial
 
-from aerial_gym.config import CONFIG_DIR, summary_in
+from aerial_gym.config import files_of, summary_in
 from aerial_gym.config.robot import RobotCfg, load_robot
 from aerial_gym.registry import Registry
 
 ROBOTS: Registry[RobotCfg] = Registry("robot")
 
-_FOLDER = CONFIG_DIR / "robots"
+_FILES = files_of("robots")
 
 for _name in (
     "base_quadrotor",
@@ -67,5 +67,5 @@ for _name in (
     "snakey6_position",
     "snakey6_effort",
 ):
-    _path = _FOLDER / f"{_name}.yaml"
+    _path = _FILES[_name]
     ROBOTS.register_later(_name, partial(load_robot, _path), summary=partial(summary_in, _path))

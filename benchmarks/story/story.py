@@ -18,7 +18,7 @@ from pathlib import Path
 import torch
 import yaml
 
-from aerial_gym.config import CONFIG_DIR
+from aerial_gym.config import files_of
 from aerial_gym.rl_training import load_policy, load_settings, settings_for, train
 from benchmarks.story.figure import draw_story
 from benchmarks.story.flying import CONTROL_RATE, distances, fly_setpoints, setpoints, tracking
@@ -29,7 +29,7 @@ from benchmarks.undeclared.simulate import Record
 from benchmarks.undeclared.vehicle import Array
 
 TASK = "position_setpoint_task_sim2real_end_to_end"
-ROBOT = CONFIG_DIR / "robots" / "tinyprop.yaml"
+ROBOT = files_of("robots")["tinyprop"]
 FITTED, JUDGED, SCORED = 4, 2, 1000
 """Flights that are logged to fit on and to judge on, and flights that a policy is scored on."""
 

@@ -10,7 +10,7 @@ import torch
 
 from aerial_gym.assets.shapes import load_mesh
 from aerial_gym.assets.urdf import load_urdf
-from aerial_gym.config import CONFIG_DIR, dump_yaml, load
+from aerial_gym.config import dump_yaml, files_of, load
 from aerial_gym.config.environment import load_environment
 from aerial_gym.config.robot import load_robot
 from aerial_gym.config.sensor import load_any_sensor
@@ -143,7 +143,7 @@ def targets(folder: Path) -> tuple[Target, ...]:
     (folder / "bulb.obj").write_bytes(OBJ)
 
     def files(kind: str) -> tuple[bytes, ...]:
-        return tuple(path.read_bytes() for path in sorted((CONFIG_DIR / kind).glob("*.yaml")))
+        return tuple(path.read_bytes() for path in files_of(kind).values())
 
     own = (MAPPING_DIR / "aerial_gym.yaml").read_bytes()
     paired = own + b"companion: {log: other}\nwind: {log: [1.0, 0.0, 0.0]}\nlift_off_m: 0.1\nhover_above_m: 0.5\n"

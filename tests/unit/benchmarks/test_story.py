@@ -8,7 +8,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from aerial_gym import task_registry
-from aerial_gym.config import CONFIG_DIR
+from aerial_gym.config import files_of
 from aerial_gym.rl_training.policies.body import BodyCfg
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.task.terms.observations import OBSERVATIONS
@@ -108,7 +108,7 @@ def test_the_vehicle_is_that_of_the_file_and_hides_what_it_says(tmp_path: Path) 
     shares = true.thrust_coeff / declared.thrust_coeff
     np.testing.assert_allclose(shares, [1.0, 1.0, 1.0, 0.92], atol=0.008)
     other = tmp_path / "other.yaml"
-    other.write_text((CONFIG_DIR / "robots" / "tinyprop.yaml").read_text() + "effects: {rotor_drag: {dx: 0.1}}\n")
+    other.write_text((files_of("robots")["tinyprop"]).read_text() + "effects: {rotor_drag: {dx: 0.1}}\n")
     with pytest.raises(ValueError, match="has effects or a thrust map that is no square"):
         declared_vehicle(other)
 

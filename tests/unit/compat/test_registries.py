@@ -80,9 +80,9 @@ def test_every_robot_of_ours_has_a_class(name: str) -> None:
 
 
 def test_a_file_of_ours_is_a_robot() -> None:
-    from aerial_gym.config import CONFIG_DIR
+    from aerial_gym.config import files_of
 
-    path = str(CONFIG_DIR / "robots" / "tinyprop.yaml")
+    path = str(files_of("robots")["tinyprop"])
     assert robot_registry.resolve(path) == path
     assert robot_registry.config_class(path).init_config.min_init_state[6] == 1.0
 
