@@ -1,8 +1,8 @@
 """Parameters of the Crazyflie's controllers, by the names that its firmware gives them.
 
 Counts are those of its PWM: 65535 is all that a rotor gives. What is left out is derived from the vehicle
-(``control.crazyflie.parameters``), so that any quadrotor flies; ``config/robots/crazyflie/crazyflie_21.yaml`` has the numbers that a
-Crazyflie 2 comes with.
+(``control.crazyflie.parameters``), so that any quadrotor flies; ``config/robots/crazyflie/crazyflie_21.yaml`` has the numbers
+that a Crazyflie 2 comes with.
 Source: Bitcraze's documentation, "Controllers in the Crazyflie" and "Mellinger controller", and its list of parameters; of
 ``BrescianiniCfg`` the papers that ``control.crazyflie.brescianini`` names.
 """
