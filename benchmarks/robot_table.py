@@ -14,8 +14,10 @@ from pathlib import Path
 import torch
 import warp
 
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.check import RobotReport, check_robot
+from aerial_gym.robots.check.flights import tail_of
 from benchmarks.control_flights import different_robots
 
 BEGIN, END = "<!-- table: begin, by python -m benchmarks.robot_table -->", "<!-- table: end -->"
@@ -57,12 +59,13 @@ def _steps(report: RobotReport) -> str:
     fitting = [step for step in report.stable_steps if step.refused is None]
     if not fitting:
         return "-"
-    worst, rigid = min(fitting, key=lambda step: step.largest_s or 0.0), ROBOTS.get(report.name).joints is None
+    worst, robot = min(fitting, key=lambda step: step.largest_s or 0.0), ROBOTS.get(report.name)
     if worst.largest_s is None:
         largest = f"none (`{worst.controller}`)"
     else:
         largest = "100 ms or more" if worst.at_least else f"{1e3 * worst.largest_s:.3g} ms (`{worst.controller}`)"
-    return largest if rigid else f"held rigid: {largest}"
+    moves = robot.joints is None or tail_of(robot, 0.0, STANDARD_GRAVITY) is not None
+    return largest if moves else f"held rigid: {largest}"
 
 
 def summaries(names: list[str]) -> str:

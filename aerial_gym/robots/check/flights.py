@@ -1,7 +1,8 @@
 """The largest time step at which a robot comes to rest under a controller, found by flying it, and is not refused.
 
 Where ``control.stability`` looks at the linearised loop, this flies the loop itself, limits, effects and all, from disturbed
-starts near hover, in the physics backend in which it will fly.
+starts near hover, in the physics backend in which it will fly. A robot with joints flies rigid in its reference pose; one whose
+tail rotor leans on a servo flies with it, and ``tail_servo`` holds its heading, as no rotor does.
 Letters: E environments, U entries of an action.
 """
 
@@ -21,10 +22,13 @@ from aerial_gym.control.stability import AXES, ClosedLoop
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp, quat_log
 from aerial_gym.physics import BodyState, build_model, vehicle_from_config
+from aerial_gym.physics.articulated.articulation import articulation_of
 from aerial_gym.physics.capabilities import choose_backend, needs_of
 from aerial_gym.physics.effects import EffectParams, WindEffect
 from aerial_gym.physics.model import robot_effects
+from aerial_gym.physics.state import JointedState
 from aerial_gym.physics.vehicle import Vehicle
+from aerial_gym.robots.joints.tail_servo import TailServo, tail_servo
 
 NUM_FLIGHTS = 8
 """Starts of each time step, side by side."""
@@ -37,6 +41,9 @@ SPAN, STEPS = 60.0, 400
 
 STEP_RANGE = (5e-4, 0.1)
 """Time steps [s] between which the largest one is looked for."""
+
+HEADING = ("yaw", "r")
+"""Of ``AXES``, what a tail on a servo holds."""
 
 AT_REST = 0.05
 """Share of the disturbance."""
@@ -103,16 +110,34 @@ def largest_stable_step(robot: RobotCfg, controller: ControllerCfg, *, name: str
 def _comes_to_rest(robot: RobotCfg, controller: ControllerCfg, dt: float, axes: str, gravity: float) -> bool:
     """Return whether all flights with a time step [s] end at one and the same rest on the named axes."""
     size = torch.tensor(DISTURBANCE).repeat_interleave(3)
-    kept = torch.tensor([name in axes.split() for name in AXES])
-    last = _last_tenth(robot, controller, dt, torch.where(kept, size, 0.0), gravity) / size
+    tail = tail_of(robot, dt, gravity)
+    held = (*axes.split(), *(() if tail is None else HEADING))
+    kept = torch.tensor([name in held for name in AXES])
+    last = _last_tenth(robot, controller, dt, torch.where(kept, size, 0.0), gravity, tail) / size
     apart = last.amax((0, 1)) - last.amin((0, 1))
     return bool((apart[kept] < AT_REST).all())  # written so that NaN fails as well
 
 
-def _last_tenth(robot: RobotCfg, controller: ControllerCfg, dt: float, size: Tensor, gravity: float) -> Tensor:
+def tail_of(robot: RobotCfg, dt: float, gravity: float) -> TailServo | None:
+    """Return what holds the heading of a robot whose tail leans on a servo, at a time step [s]; None of another robot."""
+    try:
+        return tail_servo(robot, dt=dt, gravity=gravity)
+    except ConfigError:
+        return None
+
+
+def _last_tenth(
+    robot: RobotCfg, controller: ControllerCfg, dt: float, size: Tensor, gravity: float, tail: TailServo | None
+) -> Tensor:
     """Return distances from hover at ten moments at the end of flights, (10, E, 12), with starts of a size on ``AXES``."""
     vehicle = vehicle_from_config(robot, num_envs=NUM_FLIGHTS)
-    model = build_model(vehicle, _in_still_air(robot), gravity=gravity, ceiling_height=CEILING)
+    model = build_model(
+        vehicle,
+        _in_still_air(robot),
+        gravity=gravity,
+        ceiling_height=CEILING,
+        articulation=None if tail is None else articulation_of(robot, like=vehicle.mass),
+    )
     law = make_controller(controller, vehicle, gravity, dt=dt, control=robot.control)
     backend = choose_backend("auto", needs=needs_of(robot, torch.device("cpu"), integrator="euler"))
     backend.allocate(model, law, integrator="euler")
@@ -120,10 +145,21 @@ def _last_tenth(robot: RobotCfg, controller: ControllerCfg, dt: float, size: Ten
     felt = apparent_gravity(robot.control, robot.body.mass, gravity)
     state = _starts(size, _hover(vehicle, felt))
     action = torch.zeros(NUM_FLIGHTS, len(law.action_names))
-    steps, found = ceil(0.01 * (SPAN / dt + STEPS)), []
-    backend.step(state, action, dt, 90 * steps)
+    if tail is not None:
+        action, state = torch.nn.functional.pad(action, (0, 1)), _with_tail(state, tail)
+
+    def fly(steps: int) -> None:
+        if tail is None:
+            backend.step(state, action, dt, steps)
+            return
+        for _ in range(steps):
+            action[:, -1] = tail.angle(state.attitude, state.ang_vel, ahead)
+            backend.step(state, action, dt, 1)
+
+    ahead, steps, found = torch.zeros(NUM_FLIGHTS), ceil(0.01 * (SPAN / dt + STEPS)), []
+    fly(90 * steps)
     for _ in range(10):
-        backend.step(state, action, dt, steps)
+        fly(steps)
         found.append(torch.cat((state.position, quat_log(state.attitude), state.lin_vel, state.ang_vel), dim=-1))
     return torch.stack(found)
 
@@ -132,6 +168,12 @@ def _hover(vehicle: Vehicle, gravity: float) -> Tensor:
     weight = torch.zeros(NUM_FLIGHTS, 6)
     weight[:, 2] = vehicle.mass * gravity
     return Allocation(vehicle, gravity).speed_for_wrench(weight)
+
+
+def _with_tail(state: BodyState, tail: TailServo) -> JointedState:
+    """Return the starts with the tail at rest where it holds hover."""
+    angle = torch.full((NUM_FLIGHTS, 1), tail.trim)
+    return JointedState(**vars(state), joint_pos=angle, joint_vel=torch.zeros_like(angle))
 
 
 def _in_still_air(robot: RobotCfg) -> list[EffectParams]:

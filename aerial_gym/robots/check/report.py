@@ -131,7 +131,7 @@ def check_robot(
     problems = (*_problems(hover, low, high, wrench, held, weight), *_coupled(matrix))
     names = _with_gains() if controllers is None else tuple(controllers)
     steps = []
-    for number, controller in enumerate(names if not problems and tail is None else ()):
+    for number, controller in enumerate(names if not problems else ()):
         progress(controller, number / len(names))
         steps.append(largest_stable_step(robot, CONTROLLERS.get(controller), name=controller, gravity=gravity))
     turn = authority[3:] / vehicle.inertia[0].diagonal()
@@ -224,7 +224,7 @@ def _tail_warnings(tail: LeaningTail, held: float, controllers: Sequence[str] | 
         f"{tail.roll(asked):.3g} rad about x against the side force"
     )
     if controllers is None or controllers:
-        yield "no time step was looked for: controllers command rotors, and its heading is held by joints.tail_servo"
+        yield "time steps are flown with joints.tail_servo, which holds the heading at the same step: controllers command rotors"
 
 
 def _warnings(robot: RobotCfg) -> Iterator[str]:

@@ -7,7 +7,7 @@ import pytest
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.control.stability import ClosedLoop
 from aerial_gym.robots import ROBOTS
-from aerial_gym.robots.check import largest_stable_step
+from aerial_gym.robots.check import flights, largest_stable_step
 from aerial_gym.robots.check.flights import STEP_RANGE
 
 
@@ -46,3 +46,17 @@ def test_gusts_are_left_out_and_a_hung_load_is_not() -> None:
 def test_a_controller_that_holds_nothing_is_refused() -> None:
     found = largest_stable_step(ROBOTS.get("lmf1"), CONTROLLERS.get("no_control"), name="no_control")
     assert found.refused == "commands rotors, and holds nothing"
+
+
+def test_a_tail_flies_on_its_servo_and_one_that_leans_the_wrong_way_does_not_rest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The heading counts, which no rotor turns: with the sign of its law changed the servo runs away from it."""
+    robot, controller = ROBOTS.get("tilt_tricopter"), CONTROLLERS.get("lee_attitude_control")
+    assert largest_stable_step(robot, controller, name="it").at_least
+    servo = flights.tail_of(robot, 0.1, 9.81)
+    assert servo is not None
+    monkeypatch.setattr(flights, "tail_of", lambda *_: replace(servo, heading=-servo.heading))
+    monkeypatch.setattr(flights, "STEP_RANGE", (0.05, 0.1))
+    found = largest_stable_step(robot, controller, name="it")
+    assert (found.largest_s, found.refused) == (None, None)
