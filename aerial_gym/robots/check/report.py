@@ -224,7 +224,7 @@ def _tail_warnings(tail: LeaningTail, held: float, controllers: Sequence[str] | 
         f"{tail.roll(asked):.3g} rad about x against the side force"
     )
     if controllers is None or controllers:
-        yield "time steps are flown with joints.tail_servo, which holds the heading at the same step: controllers command rotors"
+        yield "time steps are flown with joints.tail_servo, which holds the heading: controllers command rotors"
 
 
 def _warnings(robot: RobotCfg) -> Iterator[str]:
