@@ -83,6 +83,18 @@ class Px4Cfg(Tuned):
     IMU_GYRO_CUTOFF: float = 0.0
     """Of the second-order low-pass on body rates [Hz]; 0 for none. PX4's default is 40."""
 
+    IMU_GYRO_NF0_FRQ: float = 0.0
+    """Middle of the first notch filter on body rates [Hz], before the low-pass; 0 for none, as PX4 has it."""
+
+    IMU_GYRO_NF0_BW: float = 20.0
+    """Its width, between the frequencies of which half of the power comes through [Hz], > 0."""
+
+    IMU_GYRO_NF1_FRQ: float = 0.0
+    """Middle of the second one [Hz]; 0 for none."""
+
+    IMU_GYRO_NF1_BW: float = 20.0
+    """Its width [Hz], > 0."""
+
     IMU_DGYRO_CUTOFF: float = 30.0
     """Of the first-order low-pass on the angular acceleration [Hz]; 0 for none."""
 
@@ -169,7 +181,7 @@ class Px4Cfg(Tuned):
         super().__post_init__()
         for name, low, high in (
             ("rate_hz", 0.0, inf), ("MC_YAW_WEIGHT", 0.0, 1.0), ("MPC_TILTMAX_AIR", 0.0, 89.9), ("MPC_THR_MAX", 0.0, 1.0),
-            ("MPC_XY_VEL_P_ACC", 0.0, inf),
+            ("MPC_XY_VEL_P_ACC", 0.0, inf), ("IMU_GYRO_NF0_BW", 0.0, inf), ("IMU_GYRO_NF1_BW", 0.0, inf),
         ):  # fmt: skip
             value = getattr(self, name)
             if value is not None and not low < value <= high:

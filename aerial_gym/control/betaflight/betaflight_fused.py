@@ -11,8 +11,8 @@ import warp as wp
 from aerial_gym.config.autopilots.betaflight import BetaflightCfg
 from aerial_gym.control.betaflight.loop import RELAXED_FROM
 from aerial_gym.control.cascade_fused import make_remembering, make_two_levels
+from aerial_gym.control.filters.biquad_fused import make_filter
 from aerial_gym.control.lee_fused import read_vec3, write_vec3
-from aerial_gym.control.px4.rates import LowPass2
 from aerial_gym.control.timing import Timing
 from aerial_gym.physics.fused.command import make_limited, make_speed_of
 from aerial_gym.physics.fused.law import FusedLaw
@@ -87,32 +87,6 @@ def make_wish(rates_type: str) -> wp.Function:
     return sticks if rates_type == "ACTUAL" else rates
 
 
-def make_low_pass(filter: LowPass2 | None, first: int) -> wp.Function:
-    """Return ``px4.rates.low_passed``; its memory stands from number ``first`` on."""
-
-    @wp.func
-    def as_it_is(sample: wp.vec3, arrays: LawArrays, env: int, since: int) -> wp.vec3:
-        return sample
-
-    if filter is None:
-        return as_it_is
-    a1, a2, b0, b1, b2 = filter.a1, filter.a2, filter.b0, filter.b1, filter.b2
-
-    @wp.func
-    def filtered(sample: wp.vec3, arrays: LawArrays, env: int, since: int) -> wp.vec3:
-        newer = read_vec3(arrays.numbers, wp.static(first), env)
-        older = read_vec3(arrays.numbers, wp.static(first + 3), env)
-        if since == 0:
-            newer = sample / wp.static(1.0 + a1 + a2)
-            older = newer
-        inner = sample - wp.static(a1) * newer - wp.static(a2) * older
-        write_vec3(arrays.numbers, wp.static(first), env, inner)
-        write_vec3(arrays.numbers, wp.static(first + 3), env, newer)
-        return wp.static(b0) * inner + wp.static(b1) * newer + wp.static(b2) * older
-
-    return filtered
-
-
 def make_loop(
     law: FusedLaw, num_rotors: int, general: bool, own: BetaflightCfg, filters: "BetaflightFilters", timing: Timing
 ) -> wp.Function:
@@ -120,7 +94,7 @@ def make_loop(
     types = rotor_types(num_rotors, general)
     command_type, vector, period = types.command, types.vector, float(timing.loop)
     gyro1, gyro2, slow1, slow2 = (
-        make_low_pass(one, FILTERS + 6 * k) for k, one in enumerate((*filters.gyro, *filters.derivative))
+        make_filter(one, FILTERS + 6 * k) for k, one in enumerate((*filters.gyro, *filters.derivative))
     )
     limited, speed_of = make_limited(num_rotors, general), make_speed_of(num_rotors, general)
     mix_motors = make_mixer(num_rotors, own.airmode)

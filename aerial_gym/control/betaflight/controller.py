@@ -23,9 +23,9 @@ from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.betaflight import betaflight_fused
 from aerial_gym.control.betaflight.loop import actual_rate, integral_share, mixed, weakening
 from aerial_gym.control.betaflight.parameters import filters_of, parameters_of, require_fit
+from aerial_gym.control.filters.biquad import filtered
 from aerial_gym.control.gains import autopilot_of
 from aerial_gym.control.laws import LAWS
-from aerial_gym.control.px4.rates import low_passed
 from aerial_gym.control.remembering import RememberingController, layout_of
 from aerial_gym.control.timing import timing_of
 from aerial_gym.physics.fused.law import FusedLaw
@@ -85,7 +85,7 @@ class BetaflightController(RememberingController):
         for number, (low_pass, part) in enumerate(zip(filters, inner, strict=True)):
             if number == 2:
                 seen = rate
-            rate, part = (rate, 0.0 * part) if low_pass is None else low_passed(rate, part, begins, low_pass)
+            rate, part = (rate, 0.0 * part) if low_pass is None else filtered(rate, part, begins, low_pass)
             inners.append(part)
         ang_acc = torch.where(begins, 0.0, (rate - slow) / span)
         wanted, error = setpoint[:, 1:], setpoint[:, 1:] - seen

@@ -13,8 +13,9 @@ from aerial_gym.config.autopilots.betaflight import SCALES, BetaflightCfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.effectiveness import allocation_matrix
+from aerial_gym.control.filters.biquad import Biquad, butterworth
 from aerial_gym.control.gains import gains_for, spacing_of
-from aerial_gym.control.px4.rates import LowPass2, butterworth, smoothing
+from aerial_gym.control.px4.rates import smoothing
 from aerial_gym.control.timing import Timing
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.vehicle import Vehicle, share_row
@@ -64,8 +65,8 @@ class BetaflightGains:
 class BetaflightFilters:
     """At the rate of the loop; None for none."""
 
-    gyro: tuple[LowPass2 | None, LowPass2 | None]
-    derivative: tuple[LowPass2 | None, LowPass2 | None]
+    gyro: tuple[Biquad | None, Biquad | None]
+    derivative: tuple[Biquad | None, Biquad | None]
     relax: float
     """Share of the new value that the low-pass of I-term relax takes in."""
 
@@ -156,13 +157,13 @@ def filters_of(own: BetaflightCfg, timing: Timing) -> BetaflightFilters:
     """
     span = timing.loop * timing.dt
 
-    def low_pass(name: str) -> LowPass2 | None:
+    def low_pass(name: str) -> Biquad | None:
         cutoff, kind = getattr(own, f"{name}_static_hz"), getattr(own, f"{name}_type")
         if cutoff == 0.0:
             return None
         if kind == "PT1":
             share = smoothing(cutoff, span)
-            return LowPass2(share, 0.0, 0.0, share - 1.0, 0.0)
+            return Biquad(share, 0.0, 0.0, share - 1.0, 0.0)
         if cutoff * span >= 0.5:
             raise ConfigError(
                 f"BetaflightCfg.{name}_static_hz = {cutoff:g}: must be below half of the {1.0 / span:g} Hz at which the loop "

@@ -17,6 +17,7 @@ from torch import Tensor
 from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.filters.biquad import filtered
 from aerial_gym.control.gains import autopilot_of
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.lee import wrench_from
@@ -24,7 +25,7 @@ from aerial_gym.control.px4 import px4_fused
 from aerial_gym.control.px4.attitude import attitude_from_thrust, wanted_rates
 from aerial_gym.control.px4.parameters import filters_of, parameters_of, thrust_curve
 from aerial_gym.control.px4.position import limited_velocity, velocity_control
-from aerial_gym.control.px4.rates import grown_integral, low_passed, rate_torque
+from aerial_gym.control.px4.rates import RATE_NUMBERS, grown_integral, rate_torque
 from aerial_gym.control.remembering import RememberingController, layout_of
 from aerial_gym.control.timing import timing_of
 from aerial_gym.errors import ConfigError
@@ -34,10 +35,6 @@ from aerial_gym.physics.law_memory import LawMemory
 from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import Vehicle
-
-RATE_NUMBERS = 19
-"""Integral (3), angular acceleration (3), body rates before (3), inner values of the gyro filter (6), torque not given (3), yaw
-torque (1)."""
 
 OUTER_NUMBERS = 9
 """Integral of velocity (3), velocity before (3), acceleration (3)."""
@@ -63,8 +60,9 @@ class Px4Controller(RememberingController):
         self.gains = parameters_of(cfg, px4, control, vehicle, self.allocation, gravity=gravity, timing=timing)
         self.filters = filters_of(px4, timing)
         self._full, self._low, self._span = _motors(vehicle)
+        self._inner = RATE_NUMBERS + 6 * len(self.filters.notches)
         self._layout = layout_of(
-            timing, own=RATE_NUMBERS + OUTER_NUMBERS, num_rotors=vehicle.num_rotors, num_actions=len(law.action)
+            timing, own=self._inner + OUTER_NUMBERS, num_rotors=vehicle.num_rotors, num_actions=len(law.action)
         )
 
     @property
@@ -73,7 +71,7 @@ class Px4Controller(RememberingController):
 
     def _run(self, state: BodyState, action: Tensor, memory: LawMemory, sent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         own = memory.numbers[:, : self._layout.held]
-        inner, outer = own.split((RATE_NUMBERS, OUTER_NUMBERS), dim=-1)
+        inner, outer = own.split((self._inner, OUTER_NUMBERS), dim=-1)
         due = (memory.since % self.timing.law == 0).unsqueeze(-1)
         setpoint, after = self._outer(state, action, outer, (memory.since == 0).unsqueeze(-1))
         setpoint, sent = self._pass_on(setpoint, sent, memory.since)
@@ -119,13 +117,17 @@ class Px4Controller(RememberingController):
         )
 
     def _rates(self, ang_vel: Tensor, setpoint: Tensor, kept: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
-        """Return rotor speeds [rad/s], (E, R), for a normalised thrust and body rates, (E, 4), and what is kept, (E, 19)."""
+        """Return rotor speeds [rad/s], (E, R), for a normalised thrust and body rates, (E, 4), and what is kept, (E, M)."""
         gains, filters, span = self.gains, self.filters, self.timing.loop * self.timing.dt
-        integral, ang_acc, before, inner, short, yaw = kept.split((3, 3, 3, 6, 3, 1), dim=-1)
+        sizes = (3, 3, 3, 6, 3, 1, *[6] * len(filters.notches))
+        integral, ang_acc, before, inner, short, yaw, *notched = kept.split(sizes, dim=-1)
+        rate = ang_vel
+        for k, band in enumerate(filters.notches):
+            rate, notched[k] = filtered(rate, notched[k], begins, band)
         if filters.gyro is None:
-            rate, inner = ang_vel, torch.zeros_like(inner)
+            inner = torch.zeros_like(inner)
         else:
-            rate, inner = low_passed(ang_vel, inner, begins, filters.gyro)
+            rate, inner = filtered(rate, inner, begins, filters.gyro)
         measured = torch.where(begins, 0.0, (rate - before) / span)
         ang_acc = ang_acc + filters.ang_acc * (measured - ang_acc)
         wanted, error = setpoint[:, 1:], setpoint[:, 1:] - rate
@@ -137,7 +139,7 @@ class Px4Controller(RememberingController):
         allotted = self.allocation.allot(wrench)
         given = torch.cat((allotted.turn, allotted.turn, allotted.rest), dim=-1)
         short = torch.where(given < 1.0, torch.sign(torque), 0.0)
-        return self._speeds(allotted.thrust), torch.cat((integral, ang_acc, rate, inner, short, yaw), dim=-1)
+        return self._speeds(allotted.thrust), torch.cat((integral, ang_acc, rate, inner, short, yaw, *notched), dim=-1)
 
     def _speeds(self, thrust: Tensor) -> Tensor:
         """Return the rotor speeds [rad/s] that PX4 takes for thrusts [N], (E, R)."""
@@ -149,7 +151,7 @@ class Px4Controller(RememberingController):
         """Return the twin in Warp."""
         return self._fused(
             remembering=px4_fused.maker(
-                self._law, self.filters, self.timing, self._layout, first=RATE_NUMBERS, factor=self._factor
+                self._law, self.filters, self.timing, self._layout, first=self._inner, factor=self._factor
             ),
             gains_type=px4_fused.Px4Rows,
             load_gains=px4_fused.load_gains,

@@ -13,9 +13,10 @@ from torch import Tensor
 from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.filters.biquad import Biquad, butterworth, notch
 from aerial_gym.control.gains import gains_for, spacing_of
 from aerial_gym.control.px4.position import PositionGains
-from aerial_gym.control.px4.rates import LowPass2, butterworth, smoothing
+from aerial_gym.control.px4.rates import smoothing
 from aerial_gym.control.timing import Timing
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.rotors import rotor_thrust
@@ -29,6 +30,10 @@ LEAST_SHARE = 0.5
 
 LEAST_THRUST = 0.12
 """PX4's default of MPC_THR_MIN."""
+
+
+NOTCHES = ("IMU_GYRO_NF0", "IMU_GYRO_NF1")
+"""Notch filters of body rates, by the beginning of their parameters' names."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +78,10 @@ class Px4Gains:
 class Px4Filters:
     """Filters of the cascade, at the rates at which they run."""
 
-    gyro: LowPass2 | None
+    notches: tuple[Biquad, ...]
+    """IMU_GYRO_NF0_FRQ and IMU_GYRO_NF1_FRQ, before the low-pass."""
+
+    gyro: Biquad | None
     """IMU_GYRO_CUTOFF."""
 
     ang_acc: float
@@ -239,12 +247,17 @@ def filters_of(px4: Px4Cfg, timing: Timing) -> Px4Filters:
         ConfigError: If a filter of second order is not below half of its rate.
     """
     span = timing.loop * timing.dt
-    if px4.IMU_GYRO_CUTOFF * span >= 0.5:
-        raise ConfigError(
-            f"Px4Cfg.IMU_GYRO_CUTOFF = {px4.IMU_GYRO_CUTOFF:g}: must be below half of the {1.0 / span:g} Hz at which the rate "
-            "controller runs. Take 0 to leave it out, or a smaller physics step (SimCfg.dt)"
-        )
+    bands = [(getattr(px4, f"{name}_FRQ"), getattr(px4, f"{name}_BW")) for name in NOTCHES]
+    used = {f"{name}_BW": width for name, (frequency, width) in zip(NOTCHES, bands, strict=True) if frequency > 0.0}
+    used |= {f"{name}_FRQ": frequency for name, (frequency, _) in zip(NOTCHES, bands, strict=True)}
+    for name, frequency in (used | {"IMU_GYRO_CUTOFF": px4.IMU_GYRO_CUTOFF}).items():
+        if frequency * span >= 0.5:
+            raise ConfigError(
+                f"Px4Cfg.{name} = {frequency:g}: must be below half of the {1.0 / span:g} Hz at which the rate controller "
+                "runs. Leave the filter out (0), or take a smaller physics step (SimCfg.dt)"
+            )
     return Px4Filters(
+        notches=tuple(band for ends in bands if (band := notch(*ends, 1.0 / span)) is not None),
         gyro=butterworth(px4.IMU_GYRO_CUTOFF, 1.0 / span),
         ang_acc=smoothing(px4.IMU_DGYRO_CUTOFF, span),
         yaw_torque=smoothing(px4.MC_YAW_TQ_CUTOFF, span),

@@ -12,8 +12,9 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.control.cascade_fused import make_allot, make_remembering, make_two_levels
+from aerial_gym.control.filters.biquad_fused import make_filter
 from aerial_gym.control.lee_fused import from_vehicle_frame, inverse_cos_pitch, read_vec3, write_vec3
-from aerial_gym.control.px4.rates import FADING_RATE, LowPass2
+from aerial_gym.control.px4.rates import FADING_RATE, RATE_NUMBERS
 from aerial_gym.control.reduced_attitude_fused import tilt_first_error
 from aerial_gym.control.timing import Timing
 from aerial_gym.physics.fused.command import make_speed_of
@@ -225,30 +226,17 @@ def make_wish(law: str, filters: "Px4Filters", timing: Timing, first: int) -> wp
     return {"position": position, "velocity": velocity, "attitude": attitude, "rates": rates}[law]
 
 
-def make_gyro(filter: LowPass2 | None) -> wp.Function:
-    """Return the filter of body rates; its memory stands from number 9 on."""
+def make_gyro(filters: "Px4Filters", after: int) -> wp.Function:
+    """Return the filters of body rates; the low-pass remembers from number 9 on, the notches from ``after`` on."""
+    notches = (*filters.notches, None, None)
+    first, second = (make_filter(notches[k], after + 6 * k) for k in range(2))
+    low_pass = make_filter(filters.gyro, 9)
 
     @wp.func
-    def as_it_is(ang_vel: wp.vec3, arrays: LawArrays, env: int, since: int) -> wp.vec3:
-        return ang_vel
+    def gyro(ang_vel: wp.vec3, arrays: LawArrays, env: int, since: int) -> wp.vec3:
+        return low_pass(second(first(ang_vel, arrays, env, since), arrays, env, since), arrays, env, since)
 
-    if filter is None:
-        return as_it_is
-    a1, a2, b0, b1, b2 = filter.a1, filter.a2, filter.b0, filter.b1, filter.b2
-
-    @wp.func
-    def filtered(ang_vel: wp.vec3, arrays: LawArrays, env: int, since: int) -> wp.vec3:
-        first = read_vec3(arrays.numbers, 9, env)
-        second = read_vec3(arrays.numbers, 12, env)
-        if since == 0:
-            first = ang_vel / wp.static(1.0 + a1 + a2)
-            second = first
-        inner = ang_vel - wp.static(a1) * first - wp.static(a2) * second
-        write_vec3(arrays.numbers, 9, env, inner)
-        write_vec3(arrays.numbers, 12, env, first)
-        return wp.static(b0) * inner + wp.static(b1) * first + wp.static(b2) * second
-
-    return filtered
+    return gyro
 
 
 def make_rates(
@@ -257,7 +245,7 @@ def make_rates(
     """Return ``controller.Px4Controller._rates``."""
     types = rotor_types(num_rotors, general)
     command_type, vector, period = types.command, types.vector, float(timing.loop)
-    allot, gyro = make_allot(law, num_rotors, general), make_gyro(filters.gyro)
+    allot, gyro = make_allot(law, num_rotors, general), make_gyro(filters, RATE_NUMBERS)
     speed_of = make_motors(num_rotors, general, factor)
     ang_acc_share, yaw_share, fading = filters.ang_acc, filters.yaw_torque, FADING_RATE
 

@@ -46,7 +46,7 @@ BUSY = replace(
 
 FILTERED = Px4Cfg(
     rate_hz=250.0, IMU_GYRO_CUTOFF=40.0, MC_ROLLRATE_D=0.002, MC_PITCHRATE_D=0.002, MC_YAW_TQ_CUTOFF=20.0, THR_MDL_FAC=0.4,
-    MPC_XY_VEL_D_ACC=0.1, MC_ROLLRATE_FF=0.001,
+    MPC_XY_VEL_D_ACC=0.1, MC_ROLLRATE_FF=0.001, IMU_GYRO_NF0_FRQ=90.0, IMU_GYRO_NF1_FRQ=60.0, IMU_GYRO_NF1_BW=10.0,
 )  # fmt: skip
 """Filters, feed-forward and a thrust curve of PX4."""
 

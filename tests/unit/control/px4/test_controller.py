@@ -3,11 +3,13 @@
 Its laws are held to PX4's own library in ``tests/cross/test_px4.py``, its Warp twin to torch in ``test_cascade.py``.
 """
 
+from cmath import exp
 from dataclasses import replace
-from math import pi, sqrt
+from math import pi, sin, sqrt
 
 import pytest
 import torch
+from scipy.optimize import brentq
 
 from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg, RateLoopCfg
@@ -15,9 +17,9 @@ from aerial_gym.config.loader import build
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller
 from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.filters.biquad import butterworth, filtered, notch
 from aerial_gym.control.px4.controller import Px4Controller
 from aerial_gym.control.px4.parameters import thrust_curve, unit_wrench
-from aerial_gym.control.px4.rates import butterworth, low_passed
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import euler_from_quat, quat_rotate
 from aerial_gym.physics import BodyState, WarpBackend, build_model, state_at_rest, vehicle_from_config
@@ -106,13 +108,47 @@ def test_the_gyro_filter_has_its_cutoff() -> None:
     kept, begins, out = torch.zeros(1, 6, dtype=F64), torch.ones(1, 1, dtype=torch.bool), []
     for k in range(500):
         sample = torch.tensor([[torch.sin(torch.tensor(2 * pi * cutoff * k / rate, dtype=F64)), 0.7, 0.0]], dtype=F64)
-        found, kept = low_passed(sample, kept, begins, filter)
+        found, kept = filtered(sample, kept, begins, filter)
         begins = torch.zeros_like(begins)
         out.append(found[0])
     sine, constant, nothing = torch.stack(out).unbind(-1)
     assert float(sine[-125:].square().mean().sqrt() * sqrt(2.0)) == pytest.approx(sqrt(0.5), rel=1e-9)
     torch.testing.assert_close(constant, torch.full_like(constant, 0.7), atol=1e-12, rtol=0)
     assert not nothing.any()
+
+
+def test_a_notch_stops_its_frequency_and_is_as_wide_as_told() -> None:
+    """``H = 0`` in the middle, 1 at rest and at half the rate; the edges of half the power are the width apart, exactly."""
+    rate, middle, width = 500.0, 87.0, 20.0
+    band = notch(middle, width, rate)
+    assert band is not None
+    assert notch(0.0, width, rate) is None
+
+    def power(frequency: float) -> float:
+        z = exp(-2j * pi * frequency / rate)
+        return abs((band.b0 + band.b1 * z + band.b2 * z * z) / (1.0 + band.a1 * z + band.a2 * z * z)) ** 2
+
+    assert power(middle) < 1e-25
+    assert power(0.0) == pytest.approx(1.0, abs=1e-12)
+    assert power(0.5 * rate) == pytest.approx(1.0, abs=1e-12)
+    below = brentq(lambda f: power(f) - 0.5, 1.0, middle)
+    above = brentq(lambda f: power(f) - 0.5, middle, 240.0)
+    assert above - below == pytest.approx(width, rel=1e-9)
+
+
+def test_notches_act_on_the_body_rates_before_the_low_pass() -> None:
+    """A shaking in the middle of either notch changes no command once both are at rest, and one beside them does."""
+    px4 = Px4Cfg(IMU_GYRO_CUTOFF=60.0, IMU_GYRO_NF0_FRQ=87.0, IMU_GYRO_NF1_FRQ=150.0, IMU_GYRO_NF1_BW=10.0)
+    law, end = law_of("px4_rate_control", px4=replace(px4, MC_ROLLRATE_I=0.0)), []
+    for frequency in (87.0, 150.0, 120.0):
+        state, memory, commands = state_at_rest(1, 4, device=CPU, dtype=F64), None, []
+        memory = fresh_law_memory(law.needs, 1, state.position)
+        for k in range(400):
+            state.ang_vel[0, 0] = 0.1 * sin(2.0 * pi * frequency * k * 0.002)
+            command, memory = law.command(state, torch.zeros(1, 4, dtype=F64), memory)
+            commands.append(command[0])
+        end.append(float(torch.stack(commands[-100:]).std(0).max() / command.mean()))
+    assert max(end[:2]) < 1e-6 * end[2]
 
 
 def test_derived_gains_are_those_of_the_other_rate_loop() -> None:
@@ -197,10 +233,17 @@ def test_what_does_not_fit_is_refused_by_name() -> None:
         law_of("px4_position_control", px4=Px4Cfg(MPC_THR_MIN=0.3))
     with pytest.raises(ConfigError, match=r"IMU_GYRO_CUTOFF = 40: must be below half of the 50 Hz"):
         law_of("px4_rate_control", px4=Px4Cfg(IMU_GYRO_CUTOFF=40.0), dt=0.02)
+    with pytest.raises(ConfigError, match=r"IMU_GYRO_NF1_FRQ = 300: must be below half of the 500 Hz"):
+        law_of("px4_rate_control", px4=Px4Cfg(IMU_GYRO_NF1_FRQ=300.0))
+    with pytest.raises(ConfigError, match=r"IMU_GYRO_NF0_BW = 260: must be below half of the 500 Hz"):
+        law_of("px4_rate_control", px4=Px4Cfg(IMU_GYRO_NF0_FRQ=50.0, IMU_GYRO_NF0_BW=260.0))
     with pytest.raises(ConfigError, match="Px4Cfg.rate_hz = 300 Hz"):
         law_of("px4_rate_control", px4=Px4Cfg(rate_hz=300.0))
     with pytest.raises(ConfigError, match="has gains and a rate loop of its own"):
         ControllerCfg(summary="-", law="rates", px4=Px4Cfg(), rate_loop=RateLoopCfg())
-    for bad in ({"MC_ROLL_P": -1.0}, {"MC_YAW_WEIGHT": 0.0}, {"THR_MDL_FAC": 1.5}, {"MPC_TILTMAX_AIR": 90.0}):
+    for bad in (
+        {"MC_ROLL_P": -1.0}, {"MC_YAW_WEIGHT": 0.0}, {"THR_MDL_FAC": 1.5}, {"MPC_TILTMAX_AIR": 90.0},
+        {"IMU_GYRO_NF0_BW": 0.0},
+    ):  # fmt: skip
         with pytest.raises(ConfigError, match=f"Px4Cfg.{next(iter(bad))} = "):
             Px4Cfg(**bad)

@@ -1,0 +1,33 @@
+"""Filters of second order for one environment in the fused kernel, the twin of ``control.filters.biquad``."""
+
+import warp as wp
+
+from aerial_gym.control.filters.biquad import Biquad
+from aerial_gym.control.lee_fused import read_vec3, write_vec3
+from aerial_gym.physics.fused.memory import LawArrays
+
+
+def make_filter(filter: Biquad | None, first: int) -> wp.Function:
+    """Return ``biquad.filtered``, which leaves a sample as it is for None; its memory stands from number ``first`` on."""
+
+    @wp.func
+    def as_it_is(sample: wp.vec3, arrays: LawArrays, env: int, since: int) -> wp.vec3:
+        return sample
+
+    if filter is None:
+        return as_it_is
+    a1, a2, b0, b1, b2 = filter.a1, filter.a2, filter.b0, filter.b1, filter.b2
+
+    @wp.func
+    def filtered(sample: wp.vec3, arrays: LawArrays, env: int, since: int) -> wp.vec3:
+        newer = read_vec3(arrays.numbers, wp.static(first), env)
+        older = read_vec3(arrays.numbers, wp.static(first + 3), env)
+        if since == 0:
+            newer = sample / wp.static(1.0 + a1 + a2)
+            older = newer
+        inner = sample - wp.static(a1) * newer - wp.static(a2) * older
+        write_vec3(arrays.numbers, wp.static(first), env, inner)
+        write_vec3(arrays.numbers, wp.static(first + 3), env, newer)
+        return wp.static(b0) * inner + wp.static(b1) * newer + wp.static(b2) * older
+
+    return filtered
