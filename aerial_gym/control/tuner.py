@@ -70,8 +70,8 @@ class Tuning:
         return self.derivative / (2.0 * self.proportional.sqrt())
 
 
-def rotor_response(lag: Tensor, delay: float) -> Response:
-    """Return ``exp(-d s) / (T s + 1)`` of a lag T [s], (E, 3), and a dead time d [s]."""
+def rotor_response(lag: Tensor, delay: float | Tensor) -> Response:
+    """Return ``exp(-d s) / (T s + 1)`` of a lag T [s], (E, 3), and a dead time d [s], (E, 1) where it differs."""
     return lambda s: torch.exp(-delay * s) / (lag * s + 1.0)
 
 
@@ -149,21 +149,26 @@ def _bandwidth(frequency: Tensor, damping: float, inner: Response) -> Tensor:
     return low
 
 
-def tune_attitude(vehicle: Vehicle, *, bandwidth: Bandwidth, damping: float, delay: float, dt: float) -> Tuning:
+def tune_attitude(
+    vehicle: Vehicle, *, bandwidth: Bandwidth, damping: float, delay: float | Tensor, dt: float
+) -> Tuning:
     """Return the gains of the attitude loop of every environment's own vehicle, on all three axes.
 
     Args:
         vehicle: As identified or drawn; its rotor lags count, the slower of rise and fall.
         bandwidth: [rad/s], of all axes or of roll, pitch and yaw. What the rotors can give about yaw is not looked at.
         damping: Damping ratio.
-        delay: Dead time between a command and the rotors [s], that of the effect ``actuation_delay``.
+        delay: Dead time between a command and the rotors [s], that of the effect ``actuation_delay``; (E,) where it differs.
         dt: Time step of the control law [s], for which its command is held.
 
     Raises:
         ConfigError: As in ``tuned``.
     """
     slowest = torch.maximum(vehicle.time_constant_up, vehicle.time_constant_down).amax(-1, keepdim=True).double()
-    lag, late = slowest.expand(-1, 3), delay + HELD * dt
+    lag, late = (
+        slowest.expand(-1, 3),
+        HELD * dt + (delay.double().unsqueeze(-1) if isinstance(delay, Tensor) else delay),
+    )
     return tuned(rotor_response(lag, late), lag + late, bandwidth=bandwidth, damping=damping, what="attitude")
 
 
