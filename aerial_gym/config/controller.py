@@ -6,7 +6,7 @@ from math import inf, pi
 from typing import ClassVar, Literal
 
 from aerial_gym.config.autopilots.betaflight import BetaflightCfg
-from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyfliePidCfg, MellingerCfg
+from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyflieLeeCfg, CrazyfliePidCfg, MellingerCfg
 from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.config.checks import Vec3, require_finite, require_positive
 from aerial_gym.errors import ConfigError
@@ -16,7 +16,7 @@ _DRAWN_BY_NAME = (
     "name, randomize: {gains.position: {how: value, low: [2.0, 2.0, 1.0], high: [3.0, 3.0, 2.0]}} (docs/randomisation.md)"
 )
 
-AUTOPILOTS = ("px4", "betaflight", "mellinger", "crazyflie_pid", "brescianini")
+AUTOPILOTS = ("px4", "betaflight", "mellinger", "crazyflie_pid", "crazyflie_lee", "brescianini")
 """Fields of ``ControllerCfg`` and ``ControlCfg`` with the parameters of a real autopilot; a controller has one at most."""
 
 EFFECTIVENESS = ("nominal", "actual")
@@ -114,6 +114,9 @@ class ControlCfg:
 
     crazyflie_pid: CrazyfliePidCfg | None = None
     """Parameters of the Crazyflie's cascade of PID controllers, likewise."""
+
+    crazyflie_lee: CrazyflieLeeCfg | None = None
+    """Parameters of the Crazyflie's controller of Lee, likewise."""
 
     brescianini: BrescianiniCfg | None = None
     """Parameters of the Crazyflie's controller of Brescianini, likewise."""
@@ -221,6 +224,9 @@ class ControllerCfg:
 
     crazyflie_pid: CrazyfliePidCfg | None = None
     """The Crazyflie's cascade of PID controllers, likewise."""
+
+    crazyflie_lee: CrazyflieLeeCfg | None = None
+    """The Crazyflie's controller of Lee, with integrals, likewise."""
 
     brescianini: BrescianiniCfg | None = None
     """The Crazyflie's controller of Brescianini, likewise."""

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from aerial_gym.config import CONFIG_DIR, files_of, load
 from aerial_gym.config.autopilots.betaflight import BetaflightCfg
-from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyfliePidCfg, MellingerCfg
+from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyflieLeeCfg, CrazyfliePidCfg, MellingerCfg
 from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.config.controller import ControllerCfg, LeeGainsCfg, RateLoopCfg
 from aerial_gym.config.loader import build, read_yaml
@@ -56,6 +56,7 @@ _cfg = CONTROLLERS.get("lee_position_control")
 for _name, _kind, _own in (
     ("mellinger", "Mellinger controller", {"mellinger": MellingerCfg()}),
     ("pid", "PID cascade", {"crazyflie_pid": CrazyfliePidCfg()}),
+    ("lee", "Lee controller with integrals", {"crazyflie_lee": CrazyflieLeeCfg()}),
     ("brescianini", "Brescianini controller", {"brescianini": BrescianiniCfg()}),
 ):
     _summary = f"{_cfg.summary}; the {_kind} of the Crazyflie"

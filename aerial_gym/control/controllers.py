@@ -15,7 +15,12 @@ from aerial_gym.control import lee_fused
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.betaflight.controller import BetaflightController
 from aerial_gym.control.cascade import CascadeController
-from aerial_gym.control.crazyflie.controller import BrescianiniController, MellingerController, PidController
+from aerial_gym.control.crazyflie.controller import (
+    BrescianiniController,
+    CrazyflieLeeController,
+    MellingerController,
+    PidController,
+)
 from aerial_gym.control.gains import GAINS, gains_for, with_own_rows
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.px4.controller import OF_PX4, Px4Controller
@@ -30,6 +35,7 @@ OF_AUTOPILOTS = {
     "betaflight": BetaflightController,
     "mellinger": MellingerController,
     "crazyflie_pid": PidController,
+    "crazyflie_lee": CrazyflieLeeController,
     "brescianini": BrescianiniController,
 }
 """By the field of ``ControllerCfg`` that has their parameters."""

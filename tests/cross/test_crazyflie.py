@@ -10,6 +10,7 @@ from torch import Tensor
 from tests.cross.firmware.crazyflie_pairs import (
     brescianini_pair,
     brescianini_reduced_pair,
+    lee_integral_pair,
     lee_pair,
     mellinger_pair,
     pid_pair,
@@ -30,6 +31,21 @@ def test_lee_is_the_firmwares_wherever_thrust_is_along_the_body(vectors: dict[st
     torch.testing.assert_close(ours[:, 0], theirs[:, 0], atol=1e-6, rtol=0)
     torch.testing.assert_close(ours[lifts, 1:], theirs[lifts, 1:], atol=3e-8, rtol=1e-5)
     assert int(lifts.sum()) > 10_000
+
+
+def test_lee_with_integrals_is_the_firmwares(vectors: dict[str, Tensor]) -> None:
+    """Ten steps of a thousand runs; the few are left out whose thrust was ever below a centinewton, as it levels off there.
+
+    Without either integral they do not agree.
+    """
+    ours, theirs = lee_integral_pair(vectors)
+    lifts = (theirs[..., 0] > 1e-2).all(0)
+    torch.testing.assert_close(ours[:, lifts, 0], theirs[:, lifts, 0], atol=1e-6, rtol=0)
+    torch.testing.assert_close(ours[:, lifts, 1:], theirs[:, lifts, 1:], atol=5e-8, rtol=1e-5)
+    assert int(lifts.sum()) > 950
+    none, _ = lee_integral_pair(vectors, integrals=False)
+    assert float((none[-1] - theirs[-1])[lifts, 0].abs().median()) > 1e-3
+    assert float((none[-1] - theirs[-1])[lifts, 1:].abs().median()) > 1e-5
 
 
 @pytest.mark.parametrize("pair", [mellinger_pair, pid_pair])

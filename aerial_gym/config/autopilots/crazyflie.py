@@ -132,6 +132,47 @@ class CrazyfliePidCfg(Tuned):
 
 
 @dataclass(frozen=True, kw_only=True)
+class CrazyflieLeeCfg(Tuned):
+    """Parameters of ``crazyflie_lee_control``: group ``ctrlLee``. It runs at ``ControllerCfg.rate_hz``, there 500 Hz.
+
+    Three numbers are along world x, y, z, or about body x, y, z.
+    """
+
+    POSITIVE: ClassVar[frozenset[str]] = frozenset(("mass",))
+
+    mass: float | None = None
+    """What it takes the vehicle to weigh [kg]."""
+
+    Kpos_P: Vec3 | None = None
+    """Acceleration per position error [1/s²]; that of a Crazyflie is 7."""
+
+    Kpos_D: Vec3 | None = None
+    """Per velocity error [1/s]; that of a Crazyflie is 4."""
+
+    Kpos_I: Vec3 = (0.0, 0.0, 0.0)
+    """Per integrated position error [1/s³]; that of a Crazyflie is 0. It takes away what wind leaves, and overshoots a step."""
+
+    Kpos_I_limit: Vec3 | None = None
+    """Largest integrated position error [m s]. If not given half of the acceleration that the inclination allows is left to it.
+    The firmware's parameter of that name limits nothing."""
+
+    KR: Vec3 | None = None
+    """Torque per attitude error [N m/rad]; that of a Crazyflie is 0.007, about z 0.008."""
+
+    Kw: Vec3 | None = None
+    """Per rate error [N m s/rad]; that of a Crazyflie is 0.00115, about z 0.002."""
+
+    KI: Vec3 = (0.0, 0.0, 0.0)
+    """Per integrated attitude error [N m/(rad s)]; that of a Crazyflie is 0.03."""
+
+    KI_limit: Vec3 | None = None
+    """Largest integrated attitude error [rad s]. If not given half of the torque at hover is left to it. There it is free."""
+
+    source: str = "Derived: aerial_gym.control.crazyflie.parameters"
+    """Where the numbers come from."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class BrescianiniCfg(Tuned):
     """Parameters of ``crazyflie_brescianini_control``: group ``ctrlAtt``, and what a Crazyflie has compiled in.
 

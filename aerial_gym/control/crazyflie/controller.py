@@ -3,6 +3,7 @@
     crazyflie_mellinger_control:  action -> Mellinger (at ``ControllerCfg.rate_hz``) -> counts -> rotors
     crazyflie_pid_control:        action -> position, velocity (at ``ControllerCfg.rate_hz``)
                                          -> attitude, rates (at ``CrazyfliePidCfg.rate_hz``) -> counts -> rotors
+    crazyflie_lee_control:        action -> Lee with integrals (at ``ControllerCfg.rate_hz``) -> allocation -> rotors
     crazyflie_brescianini_control: action -> thrust, wanted rates (at ``ControllerCfg.rate_hz``)
                                          -> torque (at ``BrescianiniCfg.rate_hz``) -> allocation -> rotors
 
@@ -22,12 +23,21 @@ from torch import Tensor
 
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.control.crazyflie import brescianini, brescianini_fused, crazyflie_fused, mellinger, pid
+from aerial_gym.control.crazyflie import (
+    brescianini,
+    brescianini_fused,
+    crazyflie_fused,
+    geometric,
+    geometric_fused,
+    mellinger,
+    pid,
+)
 from aerial_gym.control.crazyflie.distribution import MOST_COUNTS, require_position, signs_of, told
 from aerial_gym.control.crazyflie.parameters import (
     Derived,
     DerivedCounts,
     brescianini_gains,
+    integral_gains,
     mellinger_gains,
     pid_gains,
 )
@@ -165,6 +175,38 @@ class PidController(_CrazyflieInCounts):
             gains_type=crazyflie_fused.PidRows,
             load_gains=crazyflie_fused.load_pid,
             gains=crazyflie_fused.pid_rows(self.gains),
+        )
+
+
+class CrazyflieLeeController(_Crazyflie):
+    """``crazyflie_lee_control``; its thrust and torque go through the allocation, so that any multirotor flies."""
+
+    own_numbers = geometric.WIDTH
+
+    def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
+        """Take what ``make_controller`` does."""
+        super().__init__(cfg, vehicle, gravity, dt=dt, control=control)
+        self.gains = integral_gains(
+            self._own, Derived(cfg, control, vehicle, self.allocation, gravity=gravity, timing=self.timing)
+        )
+
+    @property
+    def _wish_at_rest(self) -> Tensor:
+        return torch.zeros_like(self.gains.lee.mass[0])  # nothing is on its way
+
+    def _run(self, state: BodyState, action: Tensor, memory: LawMemory, sent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        kept = memory.numbers[:, : self.own_numbers]
+        span = self.timing.loop * self.timing.dt
+        thrust, torque, kept = geometric.geometric_control(state, _point(action), kept, self.gains, dt=span)
+        return self.allocation.speed_for_wrench(wrench_from(thrust, torque)), kept, sent
+
+    def fused(self) -> FusedLaw:
+        """Return the twin in Warp."""
+        return self._fused(
+            remembering=geometric_fused.geometric_maker(self.timing, self._layout),
+            gains_type=geometric_fused.IntegralRows,
+            load_gains=geometric_fused.load_integrals,
+            gains=geometric_fused.integral_rows(self.gains),
         )
 
 

@@ -7,16 +7,18 @@ Letters: E environments, R rotors.
 """
 
 from collections.abc import Sequence
-from math import degrees
+from dataclasses import replace
+from math import degrees, tan
 
 import torch
 from torch import Tensor
 
-from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyfliePidCfg, MellingerCfg
+from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyflieLeeCfg, CrazyfliePidCfg, MellingerCfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.crazyflie.brescianini import BrescianiniGains
 from aerial_gym.control.crazyflie.distribution import MOST_COUNTS, torque_per_count
+from aerial_gym.control.crazyflie.geometric import IntegralGains
 from aerial_gym.control.crazyflie.mellinger import MellingerGains
 from aerial_gym.control.crazyflie.pid import MOST_MOMENT, THRUST_PER_OUTPUT, PidGains, PidLevel
 from aerial_gym.control.gains import gains_for, spacing_of
@@ -41,7 +43,8 @@ class Derived:
         base: LeeGains = gains_for(
             cfg, control, vehicle, allocation, gravity=gravity, dt=timing.loop * timing.dt, extra_lag=timing.extra_lag
         )
-        self.vehicle, self.slow = vehicle, spacing_of(control.phase_margin) ** 2
+        self.base, self.vehicle, self.slow = base, vehicle, spacing_of(control.phase_margin) ** 2
+        self.authority = allocation.torque_authority(float(vehicle.mass[0]) * base.gravity)  # [N m]
         self.mass, self.most_thrust = float(vehicle.mass[0]), allocation.largest_thrust()  # [kg], [N]
         self.gravity, self.tilt = base.gravity, base.max_inclination
         self.position, self.velocity = base.position[0], base.velocity[0]
@@ -136,6 +139,31 @@ def pid_gains(own: CrazyfliePidCfg, derived: DerivedCounts) -> PidGains:
         most_tilt=row([own.tilt_limit]),
         thrust_base=row([hover]),
         least_thrust=row([LEAST_OF_HOVER * hover if own.thrust_min is None else own.thrust_min]),
+    )
+
+
+def integral_gains(own: CrazyflieLeeCfg, derived: Derived) -> IntegralGains:
+    """Return the gains of ``crazyflie_lee_control``, the same in all environments; integrals are those that are given."""
+    given, mass, base = derived.given, derived.mass if own.mass is None else own.mass, derived.base
+    position, attitude = given(own.Kpos_P, derived.position), given(own.KR, derived.attitude)
+    far = derived.row(own.Kpos_I)
+    turned = derived.row(own.KI)
+    side = derived.gravity * tan(derived.tilt)
+    most = INTEGRAL_SHARE * derived.position.new_tensor((side, side, derived.gravity))
+    lee = replace(
+        base,
+        position=position,
+        velocity=given(own.Kpos_D, derived.velocity),
+        attitude=attitude,
+        rate=given(own.Kw, derived.rate),
+        mass=derived.row([mass])[:, 0],
+    )
+    return IntegralGains(
+        lee=lee,
+        position_integral=far,
+        position_limit=_used(given(own.Kpos_I_limit, _over(most, far[0])), far),
+        attitude_integral=turned,
+        attitude_limit=_used(given(own.KI_limit, _over(INTEGRAL_SHARE * derived.authority, turned[0])), turned),
     )
 
 

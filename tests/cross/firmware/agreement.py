@@ -35,6 +35,10 @@ def _crazyflie() -> dict[str, tuple[Tensor, Tensor]]:
         "Crazyflie, Lee: thrust [N]": (ours[:, :1], theirs[:, :1]),
         "Crazyflie, Lee: torque [N m] where thrust is along the body": (ours[lifts, 1:], theirs[lifts, 1:]),
     }
+    ours, theirs = crazyflie_pairs.lee_integral_pair(vectors)
+    lifts = (theirs[..., 0] > 1e-2).all(0)
+    found["Crazyflie, Lee with integrals: thrust [N]"] = ours[:, lifts, :1], theirs[:, lifts, :1]
+    found["Crazyflie, Lee with integrals: torque [N m]"] = ours[:, lifts, 1:], theirs[:, lifts, 1:]
     for name, pair in (("Mellinger", crazyflie_pairs.mellinger_pair), ("PID", crazyflie_pairs.pid_pair)):
         ours, theirs = pair(vectors)
         found[f"Crazyflie, {name}: thrust [counts]"] = ours[..., :1], theirs[..., :1]

@@ -10,6 +10,8 @@ from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.crazyflie import brescianini
 from aerial_gym.control.crazyflie.brescianini import BrescianiniGains
 from aerial_gym.control.crazyflie.distribution import signs_of, told
+from aerial_gym.control.crazyflie.geometric import WIDTH as INTEGRALS
+from aerial_gym.control.crazyflie.geometric import IntegralGains, geometric_control
 from aerial_gym.control.crazyflie.mellinger import WIDTH, FlatTarget, MellingerGains, mellinger_control
 from aerial_gym.control.crazyflie.pid import OUTER_NUMBERS, PidGains, PidLevel, fresh, lean, turn
 from aerial_gym.control.lee import LeeGains, position_control
@@ -51,7 +53,7 @@ def read_vectors() -> dict[str, Tensor]:
     with np.load(made.VECTORS) as file:
         if int(file["checksum"]) != made.states_checksum():
             raise ValueError("the random states are not those of the vectors: make them anew (crazyflie_vectors.py)")
-        names = ("lee", "mellinger", "pid", "brescianini", "brescianini_reduced", "power")
+        names = ("lee", "lee_integrals", "mellinger", "pid", "brescianini", "brescianini_reduced", "power")
         return {name: torch.from_numpy(file[name]).double() for name in names}
 
 
@@ -88,6 +90,30 @@ def lee_pair(vectors: dict[str, Tensor]) -> Pair:
     upwards = position[:, 2] * (goal - at)[:, 2] + velocity[:, 2] * (goal_velocity - moving)[:, 2] + GRAVITY
     kept = upwards > 0.1 * GRAVITY
     return wrench[kept, 2:], vectors["lee"][kept]
+
+
+def lee_integral_pair(vectors: dict[str, Tensor], *, integrals: bool = True) -> Pair:
+    """Return thrust [N] and torque [N m], (STEPS, RUNS, 4), of runs of ten steps, integrals without limits or off."""
+    gains, rows = made.lee_integral_states()
+    mass, inertia, position, velocity, attitude, rate, far, turned = _split(gains, 1, 3, 3, 3, 3, 3, 3, 3)
+    lee = LeeGains(
+        position=position, velocity=velocity, attitude=attitude, rate=rate, mass=mass[:, 0], inertia=torch.diag_embed(inertia),
+        gravity=GRAVITY, max_yaw_rate=inf, max_inclination=LOOSE,
+    )  # fmt: skip
+    free = torch.full_like(far, inf if integrals else 0.0)
+    own = IntegralGains(
+        lee=lee, position_integral=far, position_limit=free, attitude_integral=turned, attitude_limit=free
+    )
+    kept, found = mass.new_zeros(made.RUNS, INTEGRALS), []
+    for step in zip(*(part.unbind(1) for part in _split(rows, 4, 3, 3, 3, 3, 3, 1)), strict=True):
+        q, at, moving, gyro, goal, goal_velocity, yaw = step
+        still = torch.zeros_like(at)
+        target = FlatTarget(
+            position=goal, velocity=goal_velocity, acceleration=still, yaw=torch.deg2rad(yaw[:, 0]), rates=still
+        )
+        thrust, torque, kept = geometric_control(_state(quat_normalize(q), at, moving, gyro), target, kept, own, dt=DT)
+        found.append(torch.cat((thrust.unsqueeze(-1), torque), dim=-1))
+    return torch.stack(found), vectors["lee_integrals"].transpose(0, 1)
 
 
 def mellinger_pair(vectors: dict[str, Tensor]) -> Pair:

@@ -166,6 +166,20 @@ def lee_states() -> tuple[Array, Array]:
     return gains, _states(draw, rows, upright=1.4, rate=300.0)
 
 
+def lee_integral_states() -> tuple[Array, Array]:
+    """Return gains (RUNS, 22), those of ``lee_states`` and of both integrals, and states (RUNS, STEPS, 20).
+
+    Position and velocity are asked for so gently that what is wanted stays upwards.
+    """
+    draw = Draws(SEED + 5)
+    ends = (
+        (0.02, 0.05), *[(1e-5, 4e-5)] * 3, *[(1.0, 4.0)] * 3, *[(0.5, 2.0)] * 3, *[(3e-3, 1e-2)] * 3, *[(5e-4, 3e-3)] * 3,
+        *[(0.0, 50.0)] * 3, *[(0.0, 0.5)] * 3,
+    )  # fmt: skip
+    gains = np.concatenate([draw(RUNS, 1, low=low, high=high) for low, high in ends], axis=-1)
+    return gains, _states(draw, RUNS, STEPS, upright=2.5, rate=100.0)
+
+
 def mellinger_states() -> tuple[Array, Array]:
     """Return gains (RUNS, 19) in the order of ``MELLINGER``, and states (RUNS, STEPS, 20)."""
     draw = Draws(SEED + 1)
@@ -218,7 +232,14 @@ def power_states() -> Array:
 
 def states_checksum() -> int:
     """Return a number of all states."""
-    states = *lee_states(), *mellinger_states(), pid_states(), power_states(), *brescianini_states()
+    states = (
+        *lee_states(),
+        *mellinger_states(),
+        pid_states(),
+        power_states(),
+        *brescianini_states(),
+        *lee_integral_states(),
+    )
     return checksum(*states)
 
 
@@ -244,6 +265,7 @@ def answers(library: ctypes.CDLL) -> dict[str, Array]:
     """Return what the controllers answer, by name: Lee and Brescianini in SI, the others in counts."""
     return {
         "lee": _ask_lee(library),
+        "lee_integrals": _ask_lee_integrals(library),
         "mellinger": _ask_mellinger(library),
         "pid": _ask_pid(library),
         "brescianini": _ask_brescianini(library, steps=STEPS, mixing_factor=1.0),
@@ -263,6 +285,20 @@ def _ask_lee(library: ctypes.CDLL) -> Array:
         library.controllerLee(byref(own), byref(control), byref(wanted), byref(sensors), byref(state), c_uint32(0))
         found.append(list(control.answer.wrench))
     return np.array(found, np.float32)
+
+
+def _ask_lee_integrals(library: ctypes.CDLL) -> Array:
+    found = []
+    for gains, rows in zip(*lee_integral_states(), strict=True):
+        own = Lee()
+        library.controllerLeeInit(byref(own))
+        own.mass, own.inertia, own.position, own.velocity = float(gains[0]), *(_of(gains[i : i + 3]) for i in (1, 4, 7))
+        own.attitude, own.rate, own.integral, own.turned = (_of(gains[i : i + 3]) for i in (10, 13, 16, 19))
+        for k, row in enumerate(rows):
+            control, (state, sensors, wanted) = Control(), _fill(row)
+            library.controllerLee(*map(byref, (own, control, wanted, sensors, state)), c_uint32(2 * k))
+            found.append(list(control.answer.wrench))
+    return np.array(found, np.float32).reshape(RUNS, STEPS, 4)
 
 
 def _ask_mellinger(library: ctypes.CDLL) -> Array:

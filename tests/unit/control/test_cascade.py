@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.autopilots.betaflight import BetaflightCfg
-from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyfliePidCfg, MellingerCfg
+from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyflieLeeCfg, CrazyfliePidCfg, MellingerCfg
 from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.config.controller import ControllerCfg, RateLoopCfg
 from aerial_gym.control import CONTROLLERS, make_controller
@@ -244,6 +244,9 @@ EVERY_PID = CrazyfliePidCfg(
     rate_hz=250.0, position_ki=(0.1, 0.2, 0.5), attitude_ki=(3.0, 3.0, 1.0), attitude_kd=(0.01, 0.0, 0.35),
     attitude_limit=(0.02, 0.02, 360.0), rate_kd=(0.1, 0.1, 0.0), rate_limit=(3.0, 3.0, 100.0), velocity_max=(0.3, 0.5, 0.2),
 )  # fmt: skip
+EVERY_LEE = CrazyflieLeeCfg(
+    Kpos_I=(0.5, 0.5, 1.0), KI=(2.0, 2.0, 0.5), Kpos_I_limit=(0.02, 0.01, 0.02), KI_limit=(0.01, 0.01, 0.02)
+)
 EVERY_BRESCIANINI = BrescianiniCfg(
     rate_hz=250.0,
     tau_xy=0.2,
@@ -273,6 +276,10 @@ CASES = {
     ),
     "all of the Crazyflie's PID": (
         replace(CONTROLLERS.get("crazyflie_pid_control"), rate_hz=50.0, delay=0.014, crazyflie_pid=EVERY_PID),
+        (),
+    ),
+    "all of the Crazyflie's Lee": (
+        replace(CONTROLLERS.get("crazyflie_lee_control"), rate_hz=250.0, action_delay=0.004, crazyflie_lee=EVERY_LEE),
         (),
     ),
     "all of Brescianini": (

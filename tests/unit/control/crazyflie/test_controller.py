@@ -10,11 +10,16 @@ from math import acos, atan2, cos, sin
 import pytest
 import torch
 
-from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyfliePidCfg, MellingerCfg
+from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyflieLeeCfg, CrazyfliePidCfg, MellingerCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller
 from aerial_gym.control.crazyflie import brescianini
-from aerial_gym.control.crazyflie.controller import BrescianiniController, MellingerController, PidController
+from aerial_gym.control.crazyflie.controller import (
+    BrescianiniController,
+    CrazyflieLeeController,
+    MellingerController,
+    PidController,
+)
 from aerial_gym.control.crazyflie.mellinger import FlatTarget
 from aerial_gym.control.gains import derived_inclination
 from aerial_gym.control.reduced_attitude import up_axis
@@ -29,7 +34,7 @@ F64 = torch.float64
 DT = 0.002
 X500, TUNED = ROBOTS.get("x500"), ROBOTS.get("crazyflie_21")
 MELLINGER, PID = "crazyflie_mellinger_control", "crazyflie_pid_control"
-BRESCIANINI = "crazyflie_brescianini_control"
+BRESCIANINI, LEE = "crazyflie_brescianini_control", "crazyflie_lee_control"
 
 
 def law_of(name: str, robot: RobotCfg = X500, dt: float = DT, **changes):
@@ -92,7 +97,7 @@ def test_with_derived_gains_they_are_the_geometric_law(name: str, turn: tuple[fl
     torch.testing.assert_close(found, lee, atol=0, rtol=2e-8)
 
 
-@pytest.mark.parametrize("name", [MELLINGER, PID, BRESCIANINI])
+@pytest.mark.parametrize("name", [MELLINGER, PID, LEE, BRESCIANINI])
 @pytest.mark.parametrize("robot", ["x500", "tinyprop", "racing_quadrotor"])
 def test_at_rest_they_hold_the_weight(name: str, robot: str) -> None:
     cfg = ROBOTS.get(robot)
@@ -104,20 +109,25 @@ def test_at_rest_they_hold_the_weight(name: str, robot: str) -> None:
 
 FIRMWARES_RATES = {
     MELLINGER: {"rate_hz": 500.0},
+    LEE: {"rate_hz": 500.0},
     PID: {"rate_hz": 100.0, "crazyflie_pid": CrazyfliePidCfg(rate_hz=500.0)},
     BRESCIANINI: {"rate_hz": 100.0, "brescianini": BrescianiniCfg(rate_hz=500.0)},
 }
 
 
-@pytest.mark.parametrize("name", [MELLINGER, PID, BRESCIANINI])
+@pytest.mark.parametrize("name", [MELLINGER, PID, LEE, BRESCIANINI])
 def test_a_crazyflie_flies_with_what_it_comes_with(name: str) -> None:
     """At its own rates, 500 and 100 Hz, the numbers of the robot file (``test_registered_flights.py`` flies it)."""
     law = law_of(name, TUNED, **FIRMWARES_RATES[name])
-    assert law.timing.law == (1 if name == MELLINGER else 5)
+    assert law.timing.law == (1 if name in (MELLINGER, LEE) else 5)
     assert law.timing.loop == 1
     if isinstance(law, MellingerController):
         assert law.gains.attitude[0].tolist() == [70000.0, 70000.0, 60000.0]
         assert float(law.gains.mass_thrust[0]) == 132000.0
+    elif isinstance(law, CrazyflieLeeController):
+        assert law.gains.lee.attitude[0].tolist() == [0.007, 0.007, 0.008]
+        assert law.gains.attitude_integral[0].tolist() == [0.03] * 3
+        assert not law.gains.position_integral.any()
     elif isinstance(law, BrescianiniController):
         assert law.gains.position[0].tolist() == pytest.approx([1.0 / 0.09] * 3)
         assert law.gains.velocity[0].tolist() == pytest.approx([1.7 / 0.3] * 3)
@@ -310,3 +320,30 @@ def test_an_axis_that_a_robot_leaves_alone_is_left_alone(name: str) -> None:
     law = law_of(name, robot)
     turned = told(law, at_rest((0.0, 0.0, 0.5), (0.0, 0.0, 0.4)), [0.0] * 4)
     torch.testing.assert_close(turned, told(law, at_rest(), [0.0] * 4), rtol=1e-9, atol=0)
+
+
+def test_lee_with_integrals_holds_a_weight_and_a_torque_that_nobody_declared() -> None:
+    """3 % more weight, the centre of mass 2 mm ahead: of 0.03 g / K_p, and of x, a twentieth at most is left after 20 s."""
+    plant = replace(X500, body=replace(X500.body, com=(0.002, 0.0, 0.0)))
+    kept, left = (
+        fly(law_of(LEE, dt=0.02, **own), plant, 20.0, [0.0] * 4, heavier=1.03, dt=0.02)[-1].position[0].abs()
+        for own in ({"crazyflie_lee": CrazyflieLeeCfg(Kpos_I=(0.2, 0.2, 0.2))}, {})
+    )
+    stiffness = law_of(LEE, dt=0.02).gains.lee.position[0, 2]
+    assert float(left[2]) == pytest.approx(0.03 * 9.81 / float(stiffness), rel=0.01)
+    assert float(left[0]) > 0.02
+    assert float(kept[0] / left[0]) < 0.05
+    assert float(kept[2] / left[2]) < 0.05
+
+
+def test_the_integral_of_attitude_takes_away_what_a_torque_leaves() -> None:
+    """Of what a shifted centre of mass leaves along x less than a tenth; its limit takes half of the torque at hover."""
+    plant = replace(X500, body=replace(X500.body, com=(0.002, 0.0, 0.0)))
+    own = CrazyflieLeeCfg(KI=(1.0, 1.0, 0.1))
+    laws = law_of(LEE, dt=0.02, crazyflie_lee=own), law_of(LEE, dt=0.02)
+    kept, left = (float(fly(law, plant, 15.0, [0.0] * 4, dt=0.02)[-1].position[0, 0].abs()) for law in laws)
+    assert left > 0.02
+    assert kept < 0.1 * left
+    gains, weight = laws[0].gains, X500.body.mass * 9.81
+    most = (gains.attitude_integral * gains.attitude_limit)[0]
+    torch.testing.assert_close(most, 0.5 * laws[0].allocation.torque_authority(weight))

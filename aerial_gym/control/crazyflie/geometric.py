@@ -1,0 +1,81 @@
+"""Lee's geometric law as the Crazyflie flies it: with integrals of position and attitude error.
+
+Frames: world z up, body x forward, y left, z up. Letters: E environments.
+Source: Lee, Leok, McClamroch (2010), Geometric tracking control of a quadrotor UAV on SE(3), and for the integrals Goodarzi,
+Lee, Leok (2013), Geometric nonlinear PID control of a quadrotor UAV on SE(3); as the Crazyflie has them these are of the errors
+of position and attitude alone, which its answers show (``tests/cross/firmware``).
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from aerial_gym.control.crazyflie.mellinger import FlatTarget
+from aerial_gym.control.lee import (
+    LEAST_LIFT,
+    LeeGains,
+    attitude_error,
+    attitude_from_force,
+    attitude_torque,
+    limit_inclination,
+)
+from aerial_gym.math.quaternion import quat_to_matrix
+from aerial_gym.physics.state import BodyState
+
+WIDTH = 6
+"""Remembered numbers: integrals of position (3) and attitude (3)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class IntegralGains:
+    """Gains of every environment."""
+
+    lee: LeeGains
+    """Of the law without integrals."""
+
+    position_integral: Tensor
+    """``Kpos_I`` [1/s³], (E, 3)."""
+
+    position_limit: Tensor
+    """``Kpos_I_limit`` [m s], (E, 3)."""
+
+    attitude_integral: Tensor
+    """``KI`` [N m/(rad s)], (E, 3)."""
+
+    attitude_limit: Tensor
+    """``KI_limit`` [rad s], (E, 3)."""
+
+
+def geometric_control(
+    state: BodyState, target: FlatTarget, kept: Tensor, gains: IntegralGains, *, dt: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return thrust [N], (E,), torque [N m], body, (E, 3), and what is kept, (E, 6).
+
+    ``a = K_p e_p + K_v e_v + K_i int e_p + a_d`` and ``F = m (a - g)``; the thrust is its part along the body. The torque is
+    ``-K_R e_R - K_w e_w - K_I int e_R + w x J w``.
+
+    Args:
+        state: Measured motion.
+        target: What is to be followed; its rates are not.
+        kept: What was kept by the run before, (E, 6); zeros after a reset.
+        gains: Gains.
+        dt: Between runs [s].
+    """
+    far, turned = kept.split(3, dim=-1)
+    lee = gains.lee
+    error, drift = target.position - state.position, target.velocity - state.lin_vel
+    far = _within(far + error * dt, gains.position_limit)
+    wanted = lee.position * error + lee.velocity * drift + gains.position_integral * far + target.acceleration
+    force = lee.mass.unsqueeze(-1) * (wanted + wanted.new_tensor((0.0, 0.0, lee.gravity)))
+    force = limit_inclination(force, LEAST_LIFT * lee.mass * lee.gravity, lee.max_inclination)
+    rotation = quat_to_matrix(state.attitude)
+    desired = attitude_from_force(force, target.yaw)
+    turned = _within(turned + attitude_error(rotation, desired) * dt, gains.attitude_limit)
+    torque = attitude_torque(lee, rotation, desired, state.ang_vel, torch.zeros_like(state.ang_vel))
+    torque = torque - gains.attitude_integral * turned
+    return (force * rotation[:, :, 2]).sum(-1), torque, torch.cat((far, turned), dim=-1)
+
+
+def _within(values: Tensor, limit: Tensor) -> Tensor:
+    return torch.minimum(torch.maximum(values, -limit), limit)
