@@ -53,7 +53,8 @@ class CloseLoopCmd:
 
     failures: bool = False
     """Look through each flight for a rotor or supply that fails in it, and compare it up to there only. Give it where something
-    failed or may have: on measured flights that the declared vehicle misses by much there are false alarms."""
+    failed or may have: on measured flights that the declared vehicle misses by much there are false alarms. Without it a
+    note says what looks like a failure, and nothing is made of it."""
 
     joints: bool = False
     """Fit stiffness, damping, rest angle and friction of the robot's joints as well: by their angles (columns joint_NAME), or

@@ -10,7 +10,7 @@ from aerial_gym.sim2real.failures.finding import Failure, FailureFinder, until_f
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.identify.stages import declare, select
 from aerial_gym.sim2real.judge.analysis import Judged, judge
-from aerial_gym.sim2real.judge.failed import with_failures
+from aerial_gym.sim2real.judge.failed import with_failures, with_suspicions
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.tolerances import Tolerances
@@ -33,7 +33,7 @@ def judge_flights(
 ) -> Judged:
     """Return what flights in memory say, stage by stage; arguments as for ``close_loop``.
 
-    With ``failures``, a flight in which something fails is compared up to there.
+    With ``failures``, a flight in which something fails is compared up to there; without, a note says what looks like one.
 
     Raises:
         DataError: If failures leave no flight to train or to test on.
@@ -42,14 +42,15 @@ def judge_flights(
         check_rotors(LearnedResidual, robot.rotor_traits)
     flights, off = [*train, *test], tolerances or Tolerances()
     finder = FailureFinder(robot, tolerances=off)
-    told = [found for flight in flights if failures and (found := finder.first_in(flight)) is not None]
+    seen = [found for flight in flights if (found := finder.first_in(flight)) is not None]
+    told = seen if failures else []
     learnt, judging = (_left_of(role, part, told) for role, part in (("train", train), ("test", test)))
     declared = declare(robot, learnt, judging, bandwidth=bandwidth, tolerances=off)
     selected = select(declared, criteria or Criteria(), progress, candidates=effects)
     give_back_memory()
     judged = judge(selected, seed=seed, learn_residual=learn_residual, progress=progress)
     give_back_memory()
-    return with_failures(judged, told, len(flights))
+    return with_failures(judged, told, len(flights)) if failures else with_suspicions(judged, seen)
 
 
 def _left_of(role: str, flights: Sequence[Flight], failures: Sequence[Failure]) -> list[Flight]:

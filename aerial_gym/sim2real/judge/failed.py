@@ -29,6 +29,21 @@ def with_failures(judged: Judged, failures: Sequence[Failure], flights: int) -> 
     return replace(judged, verdict=verdict, corrected=_failing(judged.corrected, effect))
 
 
+def with_suspicions(judged: Judged, failures: Sequence[Failure]) -> Judged:
+    """Return what was judged with a note on each flight that looks as if something failed in it, of which nothing was made."""
+    if not failures:
+        return judged
+    return replace(judged, verdict=replace(judged.verdict, notes=(*judged.verdict.notes, *map(_suspected, failures))))
+
+
+def _suspected(failure: Failure) -> str:
+    return (
+        f"{failure.sentence}: so it looks beside the declared vehicle (log odds {failure.log_odds:.1f}), and nothing was made "
+        f"of it. If that may have happened, --failures compares {failure.flight} up to there; a vehicle that is declared wrong "
+        "by much can look so too"
+    )
+
+
 def _told(verdict: Verdict, failures: Sequence[Failure], effect: NamedEffect | None) -> Verdict:
     """Return a verdict that begins with the failures; where nothing else is to be named, they are what explains."""
     sentences = "; ".join(failure.sentence for failure in failures)

@@ -32,3 +32,17 @@ def test_a_failure_of_one_flight_is_told_with_the_line_that_trains_with_it(
     assert told.notes == (note, "other")
     assert told.reason == "rotor fails; up to then: nothing"
     assert told.verdict == "explained"
+
+
+def test_what_looks_like_a_failure_is_noted_and_changes_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without --failures: one note more, with the flight and the odds; without a suspicion what was judged itself."""
+    found = SimpleNamespace(flight="f1", sentence="f1: rotor 2 follows half", log_odds=24.81)
+    judged = SimpleNamespace(verdict=SimpleNamespace(verdict="none", notes=("other",)), corrected="robot")
+    monkeypatch.setattr(failed, "replace", lambda one, **changes: SimpleNamespace(**(vars(one) | changes)))
+    told = failed.with_suspicions(judged, [found])  # type: ignore[arg-type]
+    assert (told.corrected, told.verdict.verdict, told.verdict.notes[0]) == ("robot", "none", "other")
+    assert told.verdict.notes[1].startswith(
+        "f1: rotor 2 follows half: so it looks beside the declared vehicle (log odds 24.8)"
+    )
+    assert "--failures compares f1 up to there" in told.verdict.notes[1]
+    assert failed.with_suspicions(judged, []) is judged  # type: ignore[arg-type]
