@@ -36,6 +36,13 @@ OCTAROTOR = [
     *((0.1, (x, y, z), (0.0, 0.0, 0.0)) for x in (-0.1732051, 0.1732051) for y in (-0.1732051, 0.1732051)
       for z in (-0.1732051, 0.1732051)),
 ]  # fmt: skip
+MORPHY = [
+    base(0.225, 0.0004225, 0.0004225, 0.000845),
+    *((0.01625, (x * (0.04 + 0.07 * 0.5**0.5), y * (0.032 + 0.07 * 0.5**0.5), 0.0), (0.0, 0.0, 0.0))
+      for x in (-1, 1) for y in (-1, 1)),
+]  # fmt: skip
+"""Arms of 0.07 m at 45 degrees."""
+
 PARTS: dict[str, list[Part]] = {
     "lmf1": quad(base(1.195, 0.013, 0.014, 0.013), 0.01, 0.1),
     "lmf2": quad(base(1.2, 0.013, 0.014, 0.013), 0.01, 0.1),
@@ -56,6 +63,7 @@ PARTS: dict[str, list[Part]] = {
     ],
     "base_octarotor": OCTAROTOR,
     "base_rov": OCTAROTOR,
+    **dict.fromkeys(("morphy", "morphy_fixed_base", "morphy_stiff"), MORPHY),
 }  # fmt: skip
 
 
@@ -86,6 +94,19 @@ def test_a_robot_is_the_sum_of_the_parts_of_its_source(robot: str) -> None:
     assert body.mass == pytest.approx(mass, rel=1e-9)
     np.testing.assert_allclose(body.com, com, rtol=0.0, atol=1e-6)
     np.testing.assert_allclose(body.inertia, inertia, rtol=0.0, atol=1e-6 * inertia.max())
+
+
+@pytest.mark.parametrize(("robot", "rods"), [("snakey", 4), ("snakey5", 5), ("snakey6", 6)])
+def test_a_snake_is_a_polygon_of_its_rods(robot: str, rods: int) -> None:
+    """Rods of 0.3 kg with a rotor of 6.25 g each, 1 m long and 0.02 m thick, about the middle, half their length / tan(pi / n)
+    from each: ``I_z = n m (l²/12 + r²/4 + a²)``, and of n equal headings ``I_x = I_y = n m (l²/12 + 3 r²/4 + a²) / 2``."""
+    mass, radius, away = 0.30625, 0.02, 0.5 / np.tan(np.pi / rods)
+    across, along = 1.0 / 12.0 + radius**2 / 4.0, radius**2 / 2.0
+    flat, turn = 0.5 * rods * mass * (across + along + away**2), rods * mass * (across + away**2)
+    body = ROBOTS.get(robot).body
+    assert body.mass == pytest.approx(rods * mass, rel=1e-9)
+    np.testing.assert_allclose(body.com, (0.0, away, 0.0), rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(body.inertia, np.diag((flat, flat, turn)), rtol=0.0, atol=1e-6 * turn)
 
 
 def test_the_simulator_that_counts_motors_twice_doubles_the_inertia() -> None:
