@@ -39,7 +39,7 @@ PAIRS := com_offset+constant_wind thrust_coefficient+motor_time_constant weak_mo
 	ground_effect+battery_sag imu_bias+quadratic_drag rotor_inertia+motor_time_constant torque_ratio+rotor_drag+com_offset \
 	thrust_coefficient+rotor_drag+com_offset+motor_time_constant
 undeclared: setup
-	$(BIN)/python -m benchmarks.score_undeclared --effects all --sizes small moderate large --unknown --hover --pairs $(PAIRS) \
+	$(BIN)/python -m benchmarks.scores.score_undeclared --effects all --sizes small moderate large --unknown --hover --pairs $(PAIRS) \
 		--seeds $(SEEDS) --jobs $(JOBS) --out out/undeclared $(ARGS)
 
 lint: setup

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
-from benchmarks.score_undeclared import BANDWIDTH_HZ, THREADS, judge
+from benchmarks.scores.score_undeclared import BANDWIDTH_HZ, THREADS, judge
 from benchmarks.undeclared import EFFECTS, make_case
 
 Array = NDArray[np.float64]

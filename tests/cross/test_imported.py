@@ -9,7 +9,7 @@ from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.importers import RotorHints, import_robot
-from benchmarks.control_flights import fly
+from benchmarks.control.control_flights import fly
 from tests.cross.test_composites import Part, composite
 from tests.repetitions import seldom
 from tests.unit.robots.importers.files import CF2, X2, iris, x500

@@ -1,6 +1,6 @@
 """The loop on flights of an independent plant that hides one effect (or nothing) from its robot file.
 
-Other seeds than those of any development; ``python -m benchmarks.score_undeclared`` scores longer flights.
+Other seeds than those of any development; ``python -m benchmarks.scores.score_undeclared`` scores longer flights.
 """
 
 import json

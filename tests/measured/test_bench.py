@@ -9,7 +9,7 @@ import pytest
 
 from aerial_gym.cli.main import main
 from aerial_gym.physics.effects.induced_flow import AIR_DENSITY
-from benchmarks.propellers import measure
+from benchmarks.devices.propellers import measure
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 BENCH = DATA / "bench"

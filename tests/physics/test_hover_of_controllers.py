@@ -19,7 +19,7 @@ from aerial_gym.physics import BodyState, TorchBackend, build_model, vehicle_fro
 from aerial_gym.physics.model import robot_effects
 from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.robots import ROBOTS
-from benchmarks.control_flights import MEANT_FOR
+from benchmarks.control.control_flights import MEANT_FOR
 from tests.repetitions import thinned
 
 F64 = torch.float64

@@ -8,7 +8,16 @@ import torch
 
 from aerial_gym.sensors import IMUS
 from aerial_gym.sensors.allan import allan_deviation
-from benchmarks.imu_allan import ImuAllanCmd, Record, compare, crossing_s, fit_densities, interval, lowest_point, shares
+from benchmarks.devices.imu_allan import (
+    ImuAllanCmd,
+    Record,
+    compare,
+    crossing_s,
+    fit_densities,
+    interval,
+    lowest_point,
+    shares,
+)
 
 NOISE, WALK, DT = 0.7, 0.2, 0.25
 

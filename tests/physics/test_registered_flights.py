@@ -1,7 +1,7 @@
 """Every registered robot flies with every geometric controller that fits it: nobody falls, nobody drifts away.
 
 At 100 Hz, the coarsest registered sim, where the time step and the rotor lag leave least; the other sims are in
-``benchmarks/control_table.py``.
+``benchmarks/control/control_table.py``.
 """
 
 from itertools import product
@@ -18,7 +18,7 @@ from aerial_gym.control import CONTROLLERS, LeeController, make_controller
 from aerial_gym.env_manager import SIMS
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.robots import ROBOTS
-from benchmarks.control_flights import (
+from benchmarks.control.control_flights import (
     GRAVITY,
     PUSH,
     WIND,

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.mark.parametrize("nuisance", [(), ("--nuisance",)])
 def test_the_hidden_effect_is_named_on_another_seed(nuisance: tuple[str, ...]) -> None:
-    command = [sys.executable, "-m", "benchmarks.score_undeclared", "--seeds", "205", *nuisance]
+    command = [sys.executable, "-m", "benchmarks.scores.score_undeclared", "--seeds", "205", *nuisance]
     out = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert "right 7 of 7" in out
 
@@ -24,7 +24,7 @@ def test_flights_that_only_hover_make_up_no_effect() -> None:
     command = [
         sys.executable,
         "-m",
-        "benchmarks.score_undeclared",
+        "benchmarks.scores.score_undeclared",
         "--seeds",
         "1823",
         "--nuisance",

@@ -10,7 +10,7 @@ from aerial_gym.physics.articulated.dynamics import kinetic_energy, momenta
 from aerial_gym.physics.articulated.joint_laws import Drive
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree, TreeState
-from benchmarks.random_commands import fly
+from benchmarks.joints.random_commands import fly
 from tests.physics.articulated.trees import F64, random_links, random_motion, random_tree
 
 

@@ -1,0 +1,1 @@
+"""Robots under their controllers: every flight of the tables, tuned vehicles."""

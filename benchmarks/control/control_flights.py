@@ -1,0 +1,322 @@
+"""Flights of a robot under a controller: to rest from drawn starts, a step, in wind, and with rotors at their limits.
+
+They fly side by side in one simulation of 10 s. Environment 0 starts at rest and is given a step; the next hovers in wind; the
+next is given the step, and for the first half second everything upwards that the rotors have; the others start as a reset draws
+them (seed 0) and are told to rest. Drives of joints hold the reference pose, and that of a tail on a servo the heading.
+Backend `warp` on the CPU; the seed decides every number.
+Letters: E environments, R rotors.
+"""
+
+from dataclasses import dataclass, replace
+from math import inf, isfinite, nan
+
+import torch
+from torch import Tensor
+
+from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym.config.controller import ControllerCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import SimCfg
+from aerial_gym.control import CONTROLLERS, check_closed_loop
+from aerial_gym.control.allocation import Allocation
+from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.errors import ConfigError
+from aerial_gym.physics import vehicle_from_config
+from aerial_gym.physics.rotors import state_for_thrust
+from aerial_gym.registry import GlobalTensorDictionary
+from aerial_gym.robots import ROBOTS
+from aerial_gym.robots.joints.tail_servo import tail_servo
+
+GRAVITY = 9.81
+"""That of every registered sim [m/s²]."""
+
+STEP, IN_WIND, AT_LIMITS, DRAWN = 0, 1, 2, slice(3, 19)
+"""Environments."""
+
+SPAN = 10.0
+SAMPLE = 0.02
+"""Time between two looks at the state [s]."""
+
+FAR_BELOW = -1000.0
+"""Height of the ground [m]: a robot with ground effect flies as if there were none."""
+
+SETTLED = 0.02
+"""Share of the step."""
+
+WIND, PUSH = 3.0, 0.1
+"""Wind along x [m/s], and what it pushes a resting vehicle with, as a share of the weight. None of the robots that fly in air
+declares a drag, so that each is given the one for which this is so, linear in the velocity along body x and y."""
+
+CLIMB, FULL = 100.0, 0.5
+"""What is asked upwards, in the units of the command, and for how long [s]: no rotors have as much."""
+
+NEAR_LIMIT = 0.02
+"""Of a rotor at a limit: distance from it, as a share of the range of its speed, in force mode of its thrust."""
+
+STEPS = {
+    "position": 1.0,
+    "pose": 1.0,
+    "steering": 1.0,
+    "velocity": 1.0,
+    "acceleration": 1.0,
+    "attitude": 0.2,
+    "rates": 0.5,
+}
+UNITS = {
+    "position": "m",
+    "pose": "m",
+    "steering": "m/s",
+    "velocity": "m/s",
+    "acceleration": "m/s²",
+    "attitude": "rad",
+    "rates": "rad/s",
+}
+
+MEANT_FOR = {"lmf2": "lmf2", "magpie": "magpie", "octarotor": "base_octarotor", "rov": "base_rov"}
+"""Robots whose gains a controller means by the first part of its name."""
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What came of a robot under a controller at a sim."""
+
+    robot: str
+    controller: str
+    law: str
+    sim: str
+    error: float
+    """Largest of the drawn starts after 10 s, in ``UNITS``, over what the law controls; infinite where it ended in NaN."""
+
+    settling_s: float
+    """Until the step stays within 2 %; infinite if it does not."""
+
+    overshoot: float
+    """Beyond the step, as a share of it."""
+
+    tilt_rad: float
+    """Largest angle between body z and world z of the drawn starts in the last second."""
+
+    wind_error: float
+    """In wind after 10 s, in ``UNITS``; NaN under water."""
+
+    wind_largest: float
+    """The largest there was."""
+
+    limit_share: float
+    """Share of the half second at full thrust in which a rotor is at a limit."""
+
+    limit_settling_s: float
+    """Until the step stays within 2 %, from the beginning of that half second on."""
+
+    limit_overshoot: float
+    """Beyond the step, as a share of it."""
+
+    limit_error: float
+    """After 10 s, in ``UNITS``, over what the law controls."""
+
+    response: tuple[float, ...]
+    """To the step, as a share of it, at each sample."""
+
+
+def different_robots(*, bend: bool = False) -> dict[str, RobotCfg]:
+    """Return the registered robots that fly differently, by the first name of each: rigid ones, or those that bend.
+
+    Robots on a stand do not fly.
+    """
+    found: dict[str, RobotCfg] = {}
+    for name in ROBOTS:
+        robot = ROBOTS.get(name)
+        chosen = robot.joints is not None and robot.joints.floating if bend else robot.joints is None
+        if chosen and _flight_of(robot) not in map(_flight_of, found.values()):
+            found[name] = robot
+    return found
+
+
+def _flight_of(robot: RobotCfg) -> tuple[object, ...]:
+    """Return what of a robot decides how it flies."""
+    return robot.body, robot.rotor, robot.mounts, robot.joints, robot.control.buoyancy
+
+
+def holds_shape(robot: RobotCfg) -> bool:
+    """Return whether every drive of a robot is told an angle: without a law for its joints the others hold none."""
+    layout = () if robot.joints is None else robot.joints.layout
+    return all(joint.drive is None or joint.drive.mode == "position" for joint in layout)
+
+
+def geometric_controllers() -> dict[str, ControllerCfg]:
+    """Return the registered controllers whose law has gains that are the robot's own."""
+    found = {name: CONTROLLERS.get(name) for name in CONTROLLERS}
+    return {name: cfg for name, cfg in found.items() if cfg.law in STEPS and cfg.gains is None}
+
+
+def named_controllers() -> dict[str, ControllerCfg]:
+    """Return the registered controllers whose name means the gains of a robot, which is that of ``meant_for``."""
+    found = {name: CONTROLLERS.get(name) for name in CONTROLLERS}
+    return {name: cfg for name, cfg in found.items() if cfg.law in STEPS and cfg.gains is not None}
+
+
+def meant_for(controller: str) -> str:
+    """Return the robot whose gains the name of a controller means."""
+    return MEANT_FOR[controller.partition("_")[0]]
+
+
+def unfit(
+    robot: RobotCfg, controller: ControllerCfg, sim: SimCfg | None = None, *, names: tuple[str, str] = ("this", "it")
+) -> str:
+    """Return why a controller does not fit a robot at a sim, `base_sim` if not given; empty if it does."""
+    sim = SIMS.get("base_sim") if sim is None else sim
+    try:
+        check_closed_loop(robot, controller, gravity=sim.gravity, dt=sim.dt, integrator=sim.integrator, names=names)
+    except ConfigError as error:
+        return str(error)
+    return ""
+
+
+def axes_of(robot: RobotCfg) -> tuple[bool, ...]:
+    """Return about which body axes a robot can turn itself."""
+    allocation = Allocation(vehicle_from_config(robot, num_envs=1, dtype=torch.float64), GRAVITY)
+    return tuple((allocation.torque_authority(robot.body.mass * GRAVITY) > 0.0).tolist())
+
+
+def fly(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names: tuple[str, str, str]) -> Flight:
+    """Return one flight; ``names`` are those of robot, controller and sim."""
+    law, can_turn = controller.law, axes_of(robot)
+    in_air = robot.control.buoyancy == 0.0
+    env = EnvManager(
+        sim=sim,
+        env=replace(
+            ENVIRONMENTS.get("empty_env"), physics_steps_per_env_step=round(SAMPLE / sim.dt), ground_height=FAR_BELOW
+        ),
+        robot=_with_drag(robot) if in_air else robot,
+        controller=controller,
+        num_envs=DRAWN.stop,
+        device=torch.device("cpu"),
+        seed=0,
+    )
+    env.reset()
+    gtd = env.gtd
+    _begin(gtd, robot, in_air=in_air)
+    env.robot_manager.refresh_model()
+    actions = torch.zeros_like(gtd["robot_actions"])
+    drives = Drives(robot, sim.dt)
+    channel = {"attitude": 1, "rates": 3 if can_turn[2] else 1}.get(law, 0)
+    upwards = 0 if law in ("attitude", "rates") else 2
+    actions[[STEP, AT_LIMITS], channel] = STEPS[law]
+    axis = channel - 1 if law in ("attitude", "rates") else 0
+    low, high = _limits(robot)
+    before, errors, responses, tilts, at_limit = gtd["robot_linvel"].clone(), [], [], [], []
+    for sample in range(round(SPAN / SAMPLE)):
+        actions[AT_LIMITS, upwards] = CLIMB if sample < round(FULL / SAMPLE) else 0.0
+        drives.hold(gtd, actions)
+        env.step(actions)
+        acceleration = (gtd["robot_linvel"] - before) / SAMPLE
+        before = gtd["robot_linvel"].clone()
+        found = _measured(law, gtd, acceleration, can_turn)
+        wanted = torch.zeros_like(found)
+        wanted[[STEP, AT_LIMITS], axis] = STEPS[law]
+        errors.append((found - wanted).norm(dim=-1))
+        responses.append(_answer(law, gtd, acceleration)[:, axis] / STEPS[law])
+        tilts.append(float(_tilt(gtd["robot_orientation"][DRAWN]).max()))
+        margin = NEAR_LIMIT * (high - low)
+        speed = gtd["rotor_speed"][AT_LIMITS]
+        at_limit.append(bool(((speed < low + margin) | (speed > high - margin)).any()))
+    error, response = torch.stack(errors).nan_to_num(nan=inf), torch.stack(responses)
+    settled, overshoot = figures(response[:, STEP].tolist())
+    limit_settled, limit_overshoot = figures(response[:, AT_LIMITS].tolist())
+    return Flight(
+        robot=names[0], controller=names[1], law=law, sim=names[2],
+        error=float(error[-1, DRAWN].max()), settling_s=settled, overshoot=overshoot,
+        tilt_rad=max(tilts[-round(1.0 / SAMPLE) :]),
+        wind_error=float(error[-1, IN_WIND]) if in_air else nan,
+        wind_largest=float(error[:, IN_WIND].max()) if in_air else nan,
+        limit_share=sum(at_limit[: round(FULL / SAMPLE)]) * SAMPLE / FULL,
+        limit_settling_s=limit_settled, limit_overshoot=limit_overshoot, limit_error=float(error[-1, AT_LIMITS]),
+        response=tuple(response[:, STEP].tolist()),
+    )  # fmt: skip
+
+
+class Drives:
+    """Commands of drives, behind those of the law: the reference pose, and of a tail on a servo what holds the heading."""
+
+    def __init__(self, robot: RobotCfg, dt: float) -> None:
+        joints = () if robot.joints is None else robot.joints.layout
+        self._held = torch.tensor([joint.reference for joint in joints if joint.drive is not None])
+        try:
+            self._servo = tail_servo(robot, dt=dt)
+        except ConfigError:  # no tail on a servo
+            self._servo = None
+
+    def hold(self, gtd: GlobalTensorDictionary, actions: Tensor) -> None:
+        """Write the commands of a step into the actions."""
+        if self._servo is not None:
+            ahead = torch.zeros(len(actions))
+            self._held = self._servo.angle(gtd["robot_orientation"], gtd["robot_body_angvel"], ahead).unsqueeze(-1)
+        actions[:, actions.shape[1] - self._held.shape[-1] :] = self._held
+
+
+def _with_drag(robot: RobotCfg) -> RobotCfg:
+    """Return a robot with effects that ``_begin`` sets per environment; as they are here they do nothing."""
+    still = {"constant_wind": dict.fromkeys("xyz", 0.0), "rotor_drag": dict.fromkeys(("dx", "dy", "dz"), 0.0)}
+    return replace(
+        robot, effects={**robot.effects, **still}, effects_source="benchmarks.control.control_flights: WIND, PUSH"
+    )
+
+
+def _begin(gtd: GlobalTensorDictionary, robot: RobotCfg, *, in_air: bool) -> None:
+    """Put those that are not drawn to hover at the origin, and one of them into wind."""
+    weight = torch.zeros(1, 6)
+    weight[:, 2] = robot.body.mass * GRAVITY - robot.control.buoyancy
+    hover = Allocation(vehicle_from_config(robot, num_envs=1), GRAVITY).speed_for_wrench(weight)
+    gtd["rotor_speed"][: DRAWN.start] = hover
+    for key in ("robot_position", "robot_linvel", "robot_body_angvel", "robot_orientation"):
+        gtd[key][: DRAWN.start] = 0.0
+    gtd["robot_orientation"][: DRAWN.start, 3] = 1.0
+    if in_air:
+        gtd["effect_constant_wind"][IN_WIND, 0] = WIND
+        gtd["effect_rotor_drag"][IN_WIND, :2] = PUSH * robot.body.mass * GRAVITY / WIND
+
+
+def _limits(robot: RobotCfg) -> tuple[Tensor, Tensor]:
+    """Return lowest and highest speeds of the rotors [rad/s], in force mode thrusts [N], (R,)."""
+    vehicle = vehicle_from_config(robot, num_envs=1)
+    allocation = Allocation(vehicle, GRAVITY)
+    return state_for_thrust(vehicle, allocation.low)[0], state_for_thrust(vehicle, allocation.high)[0]
+
+
+def _measured(law: str, gtd: GlobalTensorDictionary, acceleration: Tensor, can_turn: tuple[bool, ...]) -> Tensor:
+    """Return what the law holds, (E, 3), of attitude (E, 2)."""
+    if law == "attitude":
+        return gtd["robot_euler_angles"][:, :2]
+    if law == "rates":
+        return gtd["robot_body_angvel"] * torch.tensor(can_turn)
+    return _answer(law, gtd, acceleration)
+
+
+def _answer(law: str, gtd: GlobalTensorDictionary, acceleration: Tensor) -> Tensor:
+    """Return what answers to a command, (E, 3)."""
+    return {
+        "position": gtd["robot_position"],
+        "pose": gtd["robot_position"],
+        "steering": gtd["robot_vehicle_linvel"],
+        "velocity": gtd["robot_vehicle_linvel"],
+        "acceleration": acceleration,
+        "attitude": gtd["robot_euler_angles"],
+        "rates": gtd["robot_body_angvel"],
+    }[law]
+
+
+def _tilt(attitude: Tensor) -> Tensor:
+    return torch.acos((1.0 - 2.0 * (attitude[:, 0] ** 2 + attitude[:, 1] ** 2)).clamp(-1.0, 1.0))
+
+
+def figures(response: list[float]) -> tuple[float, float]:
+    """Return settling time [s] and overshoot of a response to a unit step, sampled from ``SAMPLE`` on.
+
+    Both are infinite where there is NaN in it.
+    """
+    if not all(map(isfinite, response)):
+        return inf, inf
+    outside = [i for i, value in enumerate(response) if abs(value - 1.0) > SETTLED]
+    last = outside[-1] + 1 if outside else 0
+    settling = (last + 1) * SAMPLE if last < len(response) else inf
+    return settling, max(max(response) - 1.0, 0.0)

@@ -1,0 +1,107 @@
+"""What can every registered robot do? The tables of ``docs/robots.md``.
+
+    python -m benchmarks.control.robot_table [--write docs/robots.md] [--robots NAME ...]
+
+A row for each robot that flies differently, from ``aerial-gym check``: hover and authority follow from the file; the largest
+stable time steps are flown (8 disturbed starts a time step, 60 s and 400 steps each, backend `auto` on the CPU). Robots that
+bend are taken as rigid in their reference pose, as the check takes them, and stand once for all modes of their drives.
+"""
+
+import argparse
+import platform
+from pathlib import Path
+
+import torch
+import warp
+
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.robots import ROBOTS
+from aerial_gym.robots.check import RobotReport, check_robot
+from aerial_gym.robots.check.flights import tail_of
+from benchmarks.control.control_flights import different_robots
+
+BEGIN, END = "<!-- table: begin, by python -m benchmarks.control.robot_table -->", "<!-- table: end -->"
+
+
+def shown_robots() -> list[str]:
+    """Return the robots that have a row: rigid ones that fly differently, and those that bend, in one mode of their drives."""
+    bend = list(different_robots(bend=True))
+    alike = {name: next(first for first in bend if name == first or name in variants_of(first)) for name in bend}
+    return [*different_robots(), *dict.fromkeys(alike.values())]
+
+
+def variants_of(name: str) -> list[str]:
+    """Return the registered robots that fly like one and differ in sensors, shapes, effects, starts or drives."""
+    first = ROBOTS.get(name)
+    same = [other for other in ROBOTS if (r := ROBOTS.get(other)).body == first.body and r.mounts == first.mounts]
+    return [other for other in same if other != name and ROBOTS.get(other).rotor_types == first.rotor_types]
+
+
+def table(reports: list[RobotReport]) -> str:
+    """Return a row for each robot."""
+    lines = [
+        "| robot | rotors | mass [kg] | inertia [kg m²] | thrust to weight | hover | rank | angular acceleration [rad/s²] | "
+        "largest stable dt |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for report in reports:
+        inertia = ", ".join(f"{report.inertia_kg_m2[i][i]:.4g}" for i in range(3))
+        turn = ", ".join(f"{a:.3g}" for a in report.angular_acceleration_rad_s2)
+        lines.append(
+            f"| `{report.name}` | {report.num_rotors} | {report.mass_kg:.4g} | {inertia} | {report.thrust_to_weight:.2f} | "
+            f"{report.hover_share:.0%} | {report.rank} | {turn} | {_steps(report)} |"
+        )
+    return "\n".join(lines)
+
+
+def _steps(report: RobotReport) -> str:
+    """Return the smallest of the largest stable time steps and its controller, of those that fit."""
+    fitting = [step for step in report.stable_steps if step.refused is None]
+    if not fitting:
+        return "-"
+    worst, robot = min(fitting, key=lambda step: step.largest_s or 0.0), ROBOTS.get(report.name)
+    if worst.largest_s is None:
+        largest = f"none (`{worst.controller}`)"
+    else:
+        largest = "100 ms or more" if worst.at_least else f"{1e3 * worst.largest_s:.3g} ms (`{worst.controller}`)"
+    moves = robot.joints is None or tail_of(robot, 0.0, STANDARD_GRAVITY) is not None
+    return largest if moves else f"held rigid: {largest}"
+
+
+def summaries(names: list[str]) -> str:
+    """Return a line for each robot, and its variants."""
+    lines = [
+        "| robot | what it is | the same with other sensors, shapes, starts, effects or drives |",
+        "| --- | --- | --- |",
+    ]
+    for name in names:
+        others = ", ".join(f"`{other}`" for other in variants_of(name)) or "-"
+        lines.append(f"| `{name}` | {ROBOTS.get(name).summary} | {others} |")
+    return "\n".join(lines)
+
+
+def page(reports: list[RobotReport]) -> str:
+    """Return both tables and what they were made with."""
+    made = f"{platform.machine()} CPU, torch {torch.__version__.split('+')[0]}, Warp {warp.config.version}."
+    return "\n\n".join((summaries([report.name for report in reports]), made, table(reports)))
+
+
+def main() -> None:
+    """Print the tables; with ``--write`` put them between the marks of a page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--write", type=Path, help="page with the marks")
+    parser.add_argument("--robots", nargs="+", metavar="NAME", help="only these")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    names = [name for name in shown_robots() if options.robots is None or name in options.robots]
+    text = page([check_robot(ROBOTS.get(name), name=name) for name in names])
+    if options.write is None:
+        print(text)
+        return
+    before, _, rest = options.write.read_text(encoding="utf-8").partition(BEGIN)
+    _, _, after = rest.partition(END)
+    options.write.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

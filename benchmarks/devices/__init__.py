@@ -1,0 +1,1 @@
+"""IMUs and propellers against what their files and tests say."""

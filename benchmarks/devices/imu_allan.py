@@ -1,0 +1,295 @@
+"""``python -m benchmarks.devices.imu_allan --out DIR``: what the simulated IMUs do, against what their files say.
+
+Every preset lies still, many of them side by side, in two records: at ``FAST_DT``, where white noise rules, and with long
+steps, where the bias walks. From the Allan variance of each sensor the noise density N and the bias walk K are fitted; the
+mean over the sensors has a 95 % interval from their scatter. Beside them stands the deviation about where the lines
+``N / sqrt(tau)`` and ``K sqrt(tau / 3)`` meet, the lowest of the curve: the bias instability of a data sheet as far as this
+model has one (it has no flicker noise of its own).
+Letters: T samples, S sensors, K averaging times, C channels (accelerometer x y z, gyro x y z).
+"""
+
+import json
+from dataclasses import asdict, dataclass
+from math import log, sqrt
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import torch
+import tyro
+from rich.console import Console
+from rich.table import Table
+from torch import Tensor
+
+from aerial_gym.config.imu import ImuCfg
+from aerial_gym.sensors import IMUS
+from aerial_gym.sensors.allan import allan_deviation, record_at_rest
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+CHANNELS = tuple((kind, axis) for kind in ("accel", "gyro") for axis in "xyz")
+UNITS = {"accel": "m/s²", "gyro": "rad/s"}
+
+FAST_DT = 0.01
+"""Step of the first record [s]: an environment step of the registered sims."""
+
+SLOW_SHARE = 1.0 / 256.0
+"""Step of the second record, as a share of the averaging time at which both lines meet in the slower channel."""
+
+LEFT_OUT = 3
+"""Longest averaging times that are left out of the lowest deviation: they come from fewer than 16 averages."""
+
+NORMAL_95 = 1.96
+"""Half of a 95 % interval in standard errors."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AllanRow:
+    """One axis of one IMU. Densities: accelerometer in m/s², gyro in rad/s, N per sqrt(Hz), K per s and sqrt(Hz)."""
+
+    imu: str
+    sensor: str
+    axis: str
+    num_sensors: int
+    noise_configured: float
+    noise_found: float
+    noise_low: float
+    noise_high: float
+    walk_configured: float
+    walk_found: float
+    walk_low: float
+    walk_high: float
+    lowest_at_s: float
+    """The averaging time nearest to where both lines meet [s]."""
+    lowest_configured: float
+    """Allan deviation there by the configured densities."""
+    lowest_found: float
+    lowest_low: float
+    lowest_high: float
+
+
+def crossing_s(noise: float, walk: float) -> float:
+    """Return the averaging time [s] at which ``N / sqrt(tau)`` and ``K sqrt(tau / 3)`` meet."""
+    return sqrt(3.0) * noise / walk
+
+
+def shares(tau: Tensor, dt: float) -> Tensor:
+    """Return the Allan variance of N = 1 and of K = 1 sampled every ``dt`` [s] at times ``tau`` [s], (K, 2).
+
+    ``1 / tau`` and ``tau / 3 (1 + 1 / (2 m²))`` with m = tau / dt. Derived: the variance of the difference of neighbouring
+    averages of m samples of a walk with unit steps is ``(2 m² + 1) / (3 m)``.
+    """
+    return torch.stack((1.0 / tau, tau / 3.0 * (1.0 + 0.5 * (dt / tau) ** 2)), dim=-1)
+
+
+def fit_densities(tau: Tensor, deviation: Tensor, dt: float, truth: Tensor) -> Tensor:
+    """Return N² and K² of each signal, fitted to its Allan variance by least squares, (S, 2).
+
+    Args:
+        tau: Averaging times [s], (K,).
+        deviation: Allan deviation, (K, S).
+        dt: Time between samples [s].
+        truth: N² and K² by which the residuals are weighed, (2,); the fit has no bias whatever they are.
+
+    Relative errors of the variance are taken to grow with ``sqrt(tau)``.
+    """
+    parts = shares(tau, dt) * truth
+    weight = 1.0 / (parts.sum(-1, keepdim=True) * tau.sqrt().unsqueeze(-1))
+    return torch.linalg.lstsq(parts * weight, deviation.square() * weight).solution.T * truth
+
+
+def interval(squares: Tensor) -> tuple[float, float, float]:
+    """Return the root of the mean of squares, (S,), and of the ends of its 95 % interval."""
+    mean, error = float(squares.mean()), float(squares.std()) / sqrt(len(squares))
+    low, high = mean - NORMAL_95 * error, mean + NORMAL_95 * error
+    return sqrt(max(mean, 0.0)), sqrt(max(low, 0.0)), sqrt(max(high, 0.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+    """Allan deviation of one record."""
+
+    dt: float
+    tau: Tensor
+    """(K,) [s]."""
+    deviation: Tensor
+    """(K, S, C)."""
+
+    @classmethod
+    def of(cls, cfg: ImuCfg, *, dt: float, num_sensors: int, num_samples: int, seed: int) -> "Record":
+        """Return the deviation of IMUs at rest."""
+        samples = record_at_rest(cfg, num_sensors=num_sensors, num_samples=num_samples, dt=dt, seed=seed)
+        tau, deviation = allan_deviation(samples, dt)
+        return cls(dt=dt, tau=tau, deviation=deviation)
+
+
+def densities(cfg: ImuCfg) -> list[tuple[float, float]]:
+    """Return N and K of every channel."""
+    noise = (*cfg.accel_noise_density, *cfg.gyro_noise_density)
+    return list(zip(noise, (*cfg.accel_bias_walk, *cfg.gyro_bias_walk), strict=True))
+
+
+def records(cfg: ImuCfg, *, num_sensors: int, num_samples: int, seed: int) -> tuple[Record, Record]:
+    """Return the fast and the slow record of an IMU."""
+    slow = SLOW_SHARE * max(crossing_s(noise, walk) for noise, walk in densities(cfg))
+    size = {"num_sensors": num_sensors, "num_samples": num_samples}
+    return Record.of(cfg, dt=FAST_DT, seed=seed, **size), Record.of(cfg, dt=slow, seed=seed + 1, **size)
+
+
+def compare(name: str, cfg: ImuCfg, fast: Record, slow: Record) -> list[AllanRow]:
+    """Return what the records say of every channel: N from the fast one, K and the lowest deviation from both."""
+    rows = []
+    for channel, ((noise, walk), (sensor, axis)) in enumerate(zip(densities(cfg), CHANNELS, strict=True)):
+        truth = torch.tensor([noise, walk], dtype=torch.float64).square()
+        found = [fit_densities(r.tau, r.deviation[:, :, channel], r.dt, truth) for r in (fast, slow)]
+        (n, n_low, n_high), (k, k_low, k_high) = interval(found[0][:, 0]), interval(found[1][:, 1])
+        record, at = lowest_point(crossing_s(noise, walk), fast, slow)
+        expected = float((shares(record.tau[at : at + 1], record.dt) * truth).sum().sqrt())
+        low, low_low, low_high = interval(record.deviation[at, :, channel].square())
+        rows.append(
+            AllanRow(
+                imu=name,
+                sensor=sensor,
+                axis=axis,
+                num_sensors=fast.deviation.shape[1],
+                noise_configured=noise,
+                noise_found=n,
+                noise_low=n_low,
+                noise_high=n_high,
+                walk_configured=walk,
+                walk_found=k,
+                walk_low=k_low,
+                walk_high=k_high,
+                lowest_at_s=float(record.tau[at]),
+                lowest_configured=expected,
+                lowest_found=low,
+                lowest_low=low_low,
+                lowest_high=low_high,
+            )
+        )
+    return rows
+
+
+def lowest_point(at_s: float, *both: Record) -> tuple[Record, int]:
+    """Return the record, and the place in it, whose averaging time is nearest to a time [s], of those averaged often."""
+    points = [
+        (abs(log(float(tau) / at_s)), record, place)
+        for record in both
+        for place, tau in enumerate(record.tau[:-LEFT_OUT])
+    ]
+    return min(points, key=lambda point: point[0])[1:]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImuAllanCmd:
+    """Compare simulated IMUs at rest with the densities in their files, and draw their Allan deviation."""
+
+    out: Path
+    """Folder that receives imu_allan.png."""
+
+    imu: tuple[str, ...] = ("vn100", "bmi088", "base_imu")
+    """IMUs that come with the package."""
+
+    num_sensors: int = 64
+    """IMUs of each kind, each with noise of its own, >= 2."""
+
+    num_samples: int = 16384
+    """Samples of each record."""
+
+    seed: int = 0
+    """Seed of the noise."""
+
+    json: bool = False
+    """Print one JSON object a line."""
+
+    def run(self) -> int:
+        """Measure, draw and print; return the exit status."""
+        found: dict[str, tuple[ImuCfg, Record, Record]] = {}
+        rows = []
+        for number, name in enumerate(self.imu):
+            cfg, seed = IMUS.get(name), self.seed + 2 * number
+            both = records(cfg, num_sensors=self.num_sensors, num_samples=self.num_samples, seed=seed)
+            found[name] = (cfg, *both)
+            rows += compare(name, cfg, *both)
+        self.out.mkdir(parents=True, exist_ok=True)
+        draw(found, self.out / "imu_allan.png")
+        if self.json:
+            for row in rows:
+                print(json.dumps(asdict(row)))
+        else:
+            print_rows(rows)
+        return 0
+
+
+def print_rows(rows: list[AllanRow]) -> None:
+    """Print the table of configured and found figures."""
+    table = Table(box=None, pad_edge=False)
+    for head in (
+        "imu",
+        "sensor",
+        "N configured",
+        "N found [95 %]",
+        "K configured",
+        "K found [95 %]",
+        "lowest",
+        "found",
+    ):
+        table.add_column(head, overflow="fold")
+    for row in rows:
+        table.add_row(
+            row.imu,
+            f"{row.sensor} {row.axis}",
+            f"{row.noise_configured:.4g}",
+            f"{row.noise_found:.4g} [{row.noise_low:.4g}, {row.noise_high:.4g}]",
+            f"{row.walk_configured:.3g}",
+            f"{row.walk_found:.3g} [{row.walk_low:.3g}, {row.walk_high:.3g}]",
+            f"{row.lowest_configured:.3g} at {row.lowest_at_s:.3g} s",
+            f"{row.lowest_found:.3g} [{row.lowest_low:.3g}, {row.lowest_high:.3g}]",
+        )
+    Console(markup=False, width=180).print(table)
+
+
+def draw(found: dict[str, tuple[ImuCfg, Record, Record]], path: Path) -> None:
+    """Draw the deviation of every IMU, its scatter and its two lines, into an image file."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    for axes, first in zip(figure.subplots(1, 2), (0, 3), strict=True):
+        kind = CHANNELS[first][0]
+        for color, (name, (cfg, fast, slow)) in zip(("C0", "C1", "C2"), found.items(), strict=False):
+            _draw_channel(axes, name, color, densities(cfg)[first], (fast, slow), first)
+        axes.plot([], [], "k--", linewidth=0.8, label="configured N / sqrt(tau)")
+        axes.plot([], [], "k:", linewidth=0.8, label="configured K sqrt(tau / 3)")
+        axes.set_xlabel("averaging time tau [s]")
+        axes.set_ylabel(f"Allan deviation, {kind} x [{UNITS[kind]}]")
+        axes.grid(visible=True, which="major", linewidth=0.3)
+        axes.legend(fontsize=7)
+    figure.savefig(path, dpi=80)
+
+
+def _draw_channel(
+    axes: "Axes",
+    name: str,
+    color: str,
+    density: tuple[float, float],
+    both: tuple[Record, Record],
+    channel: int,
+) -> None:
+    for record, label in zip(both, (f"{name}, simulated", None), strict=True):
+        signal = record.deviation[:, :, channel]
+        axes.loglog(
+            record.tau, signal.square().mean(1).sqrt(), "o-", color=color, markersize=2.5, linewidth=0.8, label=label
+        )
+        axes.fill_between(
+            record.tau, signal.quantile(0.05, dim=1), signal.quantile(0.95, dim=1), color=color, alpha=0.2
+        )
+    tau = torch.cat([record.tau for record in both]).sort().values
+    noise, walk = density
+    lowest = 0.5 * sqrt(2.0 * noise * walk / sqrt(3.0))
+    for line, style in ((noise / tau.sqrt(), "--"), (walk * (tau / 3.0).sqrt(), ":")):
+        shown = line > lowest
+        axes.loglog(tau[shown], line[shown], style, color=color, linewidth=0.8)
+
+
+if __name__ == "__main__":
+    raise SystemExit(tyro.cli(ImuAllanCmd).run())

@@ -1,0 +1,1 @@
+"""How trainings go, and what policies do."""

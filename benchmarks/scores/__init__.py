@@ -1,0 +1,1 @@
+"""What the loop with measured data finds, of hidden truths and of real flights."""

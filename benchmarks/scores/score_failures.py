@@ -1,0 +1,226 @@
+"""Failures in flight of the undeclared plant: what ``aerial-gym watch`` and ``close-loop`` make of them, and of none.
+
+    python -m benchmarks.scores.score_failures --seeds 901 902 903 --quiet-seeds 951 952 --effects all [--write PAGE.md]
+
+Each failing flight has one failure of a drawn kind, rotor, size and time, beside the small errors of every vehicle (nuisance);
+quiet flights have none, and with ``--effects`` a large effect that the robot file does not declare. Logs are written, and read
+row by row as a stream, and whole as for ``close-loop``.
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+
+from aerial_gym.env_manager.sim_builder import robot_by_name
+from aerial_gym.interop import one_thread
+from aerial_gym.sim2real.failures.finding import Failure as Found
+from aerial_gym.sim2real.failures.finding import FailureFinder
+from aerial_gym.sim2real.failures.watch import NAMED, SUSPECTED, Alarm, Watch
+from aerial_gym.sim2real.logs.flights import load_flights
+from benchmarks.undeclared import EFFECTS, CaseFiles, Failure, make_case
+from benchmarks.undeclared.failures import KINDS
+
+SIZES = {"motor_failure": (0.0, 0.95), "weak_motor": (0.3, 0.95), "brown_out": (0.6, 0.95), "stuck_rotor": (1.0, 1.0)}
+"""Ranges of ``scale``."""
+
+RATE_HZ = 200
+SOON_S = 10.0
+"""After its onset a failure should be named by then [s]."""
+
+FLIGHT_S = 14.0
+QUIET_S = 60.0
+
+
+def drawn(kind: str, rng: np.random.Generator) -> Failure:
+    """Return a failure of a kind, 4 to 8 s into the flight; a brown-out lasts 0.3 to 1 s."""
+    return Failure(
+        kind=kind,
+        motor=int(rng.integers(1, 5)),
+        scale=float(rng.uniform(*SIZES[kind])),
+        time=float(np.round(rng.uniform(4.0, 8.0), 3)),
+        duration=float(np.round(rng.uniform(0.3, 1.0), 3)) if kind == "brown_out" else np.inf,
+    )
+
+
+def failing(seed: int, folder: Path) -> Iterator[dict[str, object]]:
+    """Yield what became of flights of one vehicle that fail, each kind twice."""
+    rng = np.random.default_rng([seed, 60])
+    hidden = {f"train_{k + 1}": drawn(kind, rng) for k, kind in enumerate(KINDS * 2)}
+    files = make_case(
+        folder, effects={}, seed=seed, nuisance=True, num_train=len(hidden), num_test=0, duration_s=FLIGHT_S,
+        rate_hz=RATE_HZ, failures=hidden,
+    )  # fmt: skip
+    truths = json.loads(files.truth.read_text())["failures"]
+    for name, alarms, whole, log_s in watched(files):
+        truth, speed = hidden[name], truths[name].get("speed")
+        yield {
+            "seed": seed,
+            "flight": name,
+            "truth": truths[name],
+            "log_s": log_s,
+            "watch": {alarm.stage: judged(alarm.failure, truth, told=alarm.told_s, speed=speed) for alarm in alarms},
+            "close_loop": None if whole is None else judged(whole, truth, speed=speed),
+        }
+
+
+def judged(found: Found, truth: Failure, *, told: float | None = None, speed: float | None = None) -> dict[str, object]:
+    """Return a finding beside the truth; ``speed`` is that at which a stuck rotor stands [rad/s]."""
+    right = found.name == truth.kind and found.params.get("motor", truth.motor) == truth.motor
+    row: dict[str, object] = {"name": found.name, "right": right, "log_odds": found.log_odds}
+    if told is not None:
+        row["delay_s"] = told - truth.time
+    if right:
+        sizes = {"scale": truth.scale, "speed": speed}
+        numbers = {"time": truth.time} | {
+            key: size for key, size in sizes.items() if key in found.params and size is not None
+        }
+        row["error"] = {key: found.params[key] - value for key, value in numbers.items()}
+        row["inside"] = {key: inside(found.interval[key], value) for key, value in numbers.items()}
+        if "duration" in found.params:
+            row["error"]["duration"] = found.params["duration"] - truth.duration  # pyright: ignore[reportIndexIssue]
+    return row
+
+
+def inside(ends: tuple[float, float], value: float) -> bool:
+    """Return whether a value lies between two ends."""
+    return bool(ends[0] <= value <= ends[1])
+
+
+def watched(files: CaseFiles) -> Iterator[tuple[str, list[Alarm], Found | None, float]]:
+    """Yield of each log what a watch tells, what the loop finds, and how long the log is [s]."""
+    robot = robot_by_name(files.robot)
+    finder = FailureFinder(robot)
+    for path in files.train:
+        header = path.read_text().splitlines()[0].split(",")
+        watch, told = Watch(robot, header, name=path.stem), []
+        for row in np.loadtxt(path, delimiter=",", skiprows=1):
+            told += watch.add(row)
+        alarms = [*told, *watch.ended()]
+        (flight,) = load_flights([path], robot, mapping=None, bandwidth=10.0)
+        yield path.stem, alarms, finder.first_in(flight), watch.watched_s
+
+
+def quiet(seed: int, folder: Path, effect: str | None, flights: int, duration_s: float) -> dict[str, object]:
+    """Return what is told of flights of one vehicle in which nothing fails."""
+    effects = {effect: "large"} if effect else {}
+    files = make_case(
+        folder, effects=effects, seed=seed, nuisance=True, num_train=flights, num_test=0, duration_s=duration_s,
+        rate_hz=RATE_HZ,
+    )  # fmt: skip
+    rows = list(watched(files))
+    return {
+        "seed": seed,
+        "hidden": effect or "nothing",
+        "hours": sum(log_s for *_, log_s in rows) / 3600.0,
+        "watch": [alarm.as_mapping() for _, alarms, _, _ in rows for alarm in alarms],
+        "close_loop": [found.as_mapping() for _, _, found, _ in rows if found is not None],
+    }
+
+
+def tables(fails: Sequence[dict], silent: Sequence[dict]) -> str:
+    """Return the tables of a page."""
+    lines = [
+        f"| hidden | flights | suspected | named right | within {SOON_S:g} s | suspected after [s] | named after [s] "
+        "| size: error, median and largest, inside | time: error [ms], median and largest, inside | `close-loop` right |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for kind in (*KINDS, "all"):
+        rows = [row for row in fails if kind in ("all", row["truth"]["kind"])]
+        if not rows:
+            continue
+        named = [row["watch"][NAMED] for row in rows if NAMED in row["watch"]]
+        seen = [row["watch"][SUSPECTED]["delay_s"] for row in rows if SUSPECTED in row["watch"]]
+        right = [one for one in named if one["right"]]
+        size, unit = ("speed", " rad/s") if kind == "stuck_rotor" else ("scale", "")
+        soon = sum(one["delay_s"] <= SOON_S for one in right)
+        loop = sum(bool(row["close_loop"] and row["close_loop"]["right"]) for row in rows)
+        lines.append(
+            f"| {kind} | {len(rows)} | {len(seen)} | {len(right)} | {soon} | {_spread(seen)} "
+            f"| {_spread([one['delay_s'] for one in right])} | {_errors(right, size, 1.0, unit)} "
+            f"| {_errors(right, 'time', 1e3)} | {loop} |"
+        )
+    lines += ["", "| nothing fails; hidden | hours | told by `watch` | by `close-loop` |", "| --- | --- | --- | --- |"]
+    plain, others = ([r for r in silent if (r["hidden"] == "nothing") == wanted] for wanted in (True, False))
+    for name, rows in (("nothing", plain), (f"one of {len(others)} effects, large", others)):
+        if rows:
+            told = [
+                f"{one['name']} ({row['hidden']})" for row in rows for one in row["watch"] if one["stage"] == SUSPECTED
+            ]
+            found = [f"{one['name']} ({row['hidden']})" for row in rows for one in row["close_loop"]]
+            hours = sum(row["hours"] for row in rows)
+            lines.append(f"| {name} | {hours:.2f} | {', '.join(told) or 'nothing'} | {', '.join(found) or 'nothing'} |")
+    return "\n".join(lines)
+
+
+def _spread(values: Sequence[float]) -> str:
+    return f"{median(values):.2f} (at most {max(values):.2f})" if values else "-"
+
+
+def _errors(rows: Sequence[dict], name: str, scale: float, unit: str = "") -> str:
+    own = [row for row in rows if name in row["error"]]
+    if not own:
+        return "-"
+    inside = sum(row["inside"][name] for row in own)
+    errors = [scale * abs(row["error"][name]) for row in own]
+    middle, largest = (f"{error:.0f}" if error >= 100.0 else f"{error:.2g}" for error in (median(errors), max(errors)))
+    return f"{middle} and {largest}{unit}, {inside} of {len(own)}"
+
+
+def main() -> int:
+    """Score the flights and print the tables; return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--seeds", type=int, nargs="*", default=[], help="vehicles whose flights fail, eight flights each"
+    )
+    parser.add_argument("--quiet-seeds", type=int, nargs="*", default=[], help="vehicles without a failure")
+    parser.add_argument("--quiet-flights", type=int, default=30, help="flights of a minute of each of these")
+    parser.add_argument("--effects", nargs="*", default=[], help="also hide each of these, large: names, or all")
+    parser.add_argument("--out", type=Path, help="folder that keeps each row; an interrupted run goes on")
+    parser.add_argument("--write", type=Path, help="also write the tables to this markdown file")
+    args = parser.parse_args()
+    names = list(EFFECTS) if args.effects == ["all"] else args.effects
+    fails, silent = list[dict](), list[dict]()
+    with tempfile.TemporaryDirectory() as temporary, one_thread():
+        for seed in args.seeds:
+            fails += _kept(args.out, f"fails_{seed}", lambda s=seed: list(failing(s, Path(temporary) / f"f{s}")))
+        for seed in args.quiet_seeds:
+            folder = Path(temporary) / f"q{seed}"
+            silent += _kept(
+                args.out,
+                f"quiet_{seed}",
+                lambda s=seed, f=folder: [quiet(s, f, None, args.quiet_flights, QUIET_S)],
+            )
+        for place, name in enumerate(names):
+            folder, seed = Path(temporary) / name, 2000 + place
+            silent += _kept(args.out, f"quiet_{name}", lambda s=seed, f=folder, n=name: [quiet(s, f, n, 4, FLIGHT_S)])
+    page = tables(fails, silent)
+    print(page)
+    if args.write:
+        told = " ".join(sys.argv[1:])
+        args.write.write_text(f"`python -m benchmarks.scores.score_failures {told}`\n\n{page}\n")
+    return 0
+
+
+def _kept(out: Path | None, key: str, make: Callable[[], list[dict]]) -> list[dict]:
+    """Return rows that were kept, or make and keep them."""
+    path = out / f"{key}.json" if out else None
+    if path is not None and path.is_file():
+        return json.loads(path.read_text())
+    start = time.monotonic()
+    rows = make()
+    print(f"{key}: {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(rows, indent=1) + "\n")
+    return rows
+
+
+if __name__ == "__main__":
+    sys.exit(main())

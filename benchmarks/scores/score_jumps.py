@@ -1,0 +1,222 @@
+"""Are jumps found that are put into measured flights, and none where nothing was put?
+
+    python -m benchmarks.scores.score_jumps --data DATA [--sizes 0.25 0.5 1 2] [--seed 1] [--stream]
+
+DATA holds a folder for each collection of flights (docs/results/measured.md). Every flight with a position and a velocity is
+read as it is, and with a fix that moves by each size in a random direction, at a random time, for 0.5 to 4 s. Found: both
+steps, each within 0.1 s. With --stream as ``aerial-gym watch`` looks while the flight goes on, every half second, and with each
+sensor that stands still for 0.5 to 4 s, and with a fix that never returns, as well; told soon: all that was put into a flight,
+each within 10 s of its onset.
+"""
+
+import argparse
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.failures.rotor_work import BLOCK_S
+from aerial_gym.sim2real.failures.sensor_faults import WINDOW_S, SensorFault, SensorWatch
+from aerial_gym.sim2real.failures.watch import LOOK_BLOCKS
+from aerial_gym.sim2real.logs.flights import even_log
+from aerial_gym.sim2real.logs.position_jumps import LEAST, LIMIT, integral, mend_position_jumps, scaled_differences
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.readers.mapping import find_mapping
+from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.repeated_samples import SENSORS
+
+COLLECTIONS = ("idsia_nanodrone", "nanobench_cf21", "neural_fly", "neural_swarm")
+LOOK_S = LOOK_BLOCKS * BLOCK_S
+SOON_S = 10.0
+"""After its onset a fault should be told by then [s]."""
+
+TOLD = re.compile(r"position jumps by \(([^)]*)\) m .* t = ([\d.]+)")
+
+
+def logs(data: Path) -> Iterator[FlightLog]:
+    """Yield the logs with a position and a velocity, at equal time steps."""
+    for name in COLLECTIONS:
+        for path in sorted((data / name).glob("*.csv")):
+            try:
+                log = even_log(read_flight_log(path, mapping=find_mapping(name)))
+            except DataError:
+                continue
+            if log.position is not None and log.lin_vel is not None:
+                yield log
+
+
+def told(log: FlightLog) -> list[tuple[np.ndarray, float]]:
+    """Return size [m] and time [s] of each jump that is told of a log."""
+    found = [TOLD.search(note) for note in mend_position_jumps(replace(log, notes=())).notes]
+    return [
+        (np.array([float(part.split("±")[0]) for part in one[1].split(",")]), float(one[2])) for one in found if one
+    ]
+
+
+def largest_share(log: FlightLog) -> float:
+    """Return the largest difference of a log, of those that count as jumps, in parts of what tells one."""
+    assert log.position is not None
+    assert log.lin_vel is not None
+    step = float(log.time[-1] - log.time[0]) / (log.time.size - 1)
+    sizes, scale = scaled_differences(log.position - integral(log.lin_vel, step), step)
+    return float(np.where(np.abs(sizes) > LEAST, np.abs(sizes) / scale, 0.0).max()) / LIMIT
+
+
+def streamed(log: FlightLog) -> list[tuple[SensorFault, float]]:
+    """Return each fault that is told of a log as it grows, and when [s]."""
+    watch, found, start = SensorWatch("flight"), [], log.time[0]
+    for end in np.arange(start + LOOK_S, log.time[-1] + LOOK_S, LOOK_S):
+        rows = (log.time <= end) & (log.time > end - WINDOW_S)
+        seen = {name: values[rows] for name, values in vars(log).items() if isinstance(values, np.ndarray)}
+        found += [(fault, float(end)) for fault in watch.look(replace(log, **seen))]
+    return found
+
+
+def with_step(
+    log: FlightLog, size: float, rng: np.random.Generator, *, returns: bool = True
+) -> tuple[FlightLog, np.ndarray, float, float]:
+    """Return a log whose position is off for some time, or for good, by how much [m], and from when to when [s]."""
+    assert log.position is not None
+    direction = rng.standard_normal(3)
+    step = size * direction / np.linalg.norm(direction)
+    begin, end = span(log, rng)
+    there = (log.time >= begin) & ((log.time < end) | (not returns))
+    return replace(log, position=log.position + there[:, None] * step), step, begin, end
+
+
+def span(log: FlightLog, rng: np.random.Generator) -> tuple[float, float]:
+    """Return 0.5 to 4 s of a flight."""
+    first, last = log.time[0] + 1.0, log.time[-1] - 1.0
+    begin = rng.uniform(first, last - 1.0)
+    return begin, min(begin + rng.uniform(0.5, 4.0), last)
+
+
+@dataclass
+class Score:
+    """What a watch tells of flights with one kind of fault."""
+
+    flights: int = 0
+    found: int = 0
+    """Flights in which all that was put in is told."""
+
+    soon: int = 0
+    """The same within ``SOON_S`` of each onset."""
+
+    after: list[float] = field(default_factory=list)
+    """From onset to telling [s], of all that was told rightly."""
+
+    off: list[float] = field(default_factory=list)
+    """Distance of a told size from the true one [m]; none of sensors that stand still."""
+
+    others: int = 0
+    """Told and not put in."""
+
+    def add(self, hits: list[tuple[float, float | None]], *, put_in: int, told: int) -> None:
+        """Take one flight: delay and error of each fault that was told rightly, of so many put in and told."""
+        whole = len(hits) == put_in
+        self.flights += 1
+        self.found += whole
+        self.soon += whole and all(delay <= SOON_S for delay, _ in hits)
+        self.after += [delay for delay, _ in hits]
+        self.off += [error for _, error in hits if error is not None]
+        self.others += told - len(hits)
+
+    def row(self, name: str) -> str:
+        """Return a line of the table."""
+        errors = f"{np.median(self.off):.3f}, {max(self.off):.3f}" if self.off else "-"
+        cells = (name, self.flights, self.found, self.soon, _times(self.after), errors, self.others)
+        return f"| {' | '.join(map(str, cells))} |"
+
+
+def score_stream(flights: list[FlightLog], sizes: list[float], rng: np.random.Generator) -> None:
+    """Print what a watch tells, of logs as they are, with jumps, and with sensors that stand still."""
+    plain = [fault.sentence for log in flights for fault, _ in streamed(log)]
+    print(f"told as logged: {len(plain)} {plain}")
+    print(
+        f"| put in | flights | found | told within {SOON_S:g} s | told after: median, largest [s] | error of the size: "
+        "median, largest [m] | others told |"
+    )
+    print("| --- | --- | --- | --- | --- | --- | --- |")
+    for size in sizes:
+        print(jumps_streamed(flights, size, rng).row(f"jump and return, {size:g} m"), flush=True)
+    for sensor in SENSORS:
+        print(stops_streamed(flights, sensor, rng).row(f"{sensor} stands still"), flush=True)
+    for size in sizes:
+        print(jumps_streamed(flights, size, rng, returns=False).row(f"jump that stays, {size:g} m"), flush=True)
+
+
+def jumps_streamed(flights: list[FlightLog], size: float, rng: np.random.Generator, *, returns: bool = True) -> Score:
+    """Return what is told of a fix that moves by a size [m] and returns, or stays."""
+    score = Score()
+    for log in flights:
+        moved, step, begin, end = with_step(log, size, rng, returns=returns)
+        told, hits = streamed(moved), list[tuple[float, float | None]]()
+        for when, true in ((begin, step), (end, -step))[: 1 + returns]:
+            near = [(f, at) for f, at in told if abs(f.time - when) < 0.1 and _size(f) @ true > 0.0]
+            hits += [(at - when, float(np.linalg.norm(_size(fault) - true))) for fault, at in near[:1]]
+        score.add(hits, put_in=1 + returns, told=len(told))
+    return score
+
+
+def stops_streamed(flights: list[FlightLog], sensor: str, rng: np.random.Generator) -> Score:
+    """Return what is told of a sensor that stands still, in flights that have it."""
+    score = Score()
+    for log in flights:
+        values = getattr(log, sensor)
+        if values is None:
+            continue
+        begin, end = span(log, rng)
+        still, there = values.copy(), (log.time >= begin) & (log.time < end)
+        still[there] = values[int(np.argmax(there)) - 1]
+        told = streamed(replace(log, **{sensor: still}))
+        near = [at for f, at in told if f.sensor == sensor and abs(f.time - begin) < 0.1]
+        score.add([(at - begin, None) for at in near[:1]], put_in=1, told=len(told))
+    return score
+
+
+def _size(fault: SensorFault) -> np.ndarray:
+    return np.array([fault.params.get(axis, 0.0) for axis in "xyz"])
+
+
+def _times(after: list[float]) -> str:
+    return f"{np.median(after):.2f}, {max(after):.2f}" if after else "-"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--sizes", type=float, nargs="+", default=[0.25, 0.5, 1.0, 2.0])
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--stream", action="store_true")
+    args = parser.parse_args()
+    flights, rng = list(logs(args.data)), np.random.default_rng(args.seed)
+    seconds = sum(float(log.time[-1] - log.time[0]) for log in flights)
+    if args.stream:
+        print(f"{len(flights)} flights, {seconds:.0f} s")
+        score_stream(flights, args.sizes, rng)
+        return
+    print(f"{len(flights)} flights, {seconds:.0f} s: {sum(len(told(log)) for log in flights)} jumps told as logged")
+    print(f"largest difference as logged: {max(map(largest_share, flights)):.2f} of what tells a jump")
+    print("| size [m] | flights | both steps found | size, error of the median and the largest [m] | others told |")
+    print("| --- | --- | --- | --- | --- |")
+    for size in args.sizes:
+        right, others, off = 0, 0, []
+        for log in flights:
+            moved, step, begin, end = with_step(log, size, rng)
+            found = told(moved)
+            near = [
+                [(jump, at) for jump, at in found if abs(at - when) < 0.1 and jump @ (sign * step) > 0.0]
+                for when, sign in ((begin, 1.0), (end, -1.0))
+            ]
+            right += all(len(part) == 1 for part in near)
+            others += len(found) - sum(len(part) for part in near)
+            off += [float(np.linalg.norm(np.abs(part[0][0]) - np.abs(step))) for part in near if part]
+        errors = f"{np.median(off):.3f}, {max(off):.3f}" if off else "-"
+        print(f"| {size:g} | {len(flights)} | {right} | {errors} | {others} |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,208 @@
+"""What the loop makes of measured flights.
+
+    python -m benchmarks.scores.score_measured --data DATA [--sets arpl swarm] [--jobs 4] [--json]
+
+DATA holds a folder for each collection of flights; none of them is part of this repository (docs/results/measured.md says what
+they are and where they come from). A set trains on some flights of a collection and is judged on others; ``_back`` is the same
+the other way round. Each row: verdict, effects named with parameters, confidence and what they tie with, residuals and rollout
+errors of the test flights before and after, processor time and most memory.
+"""
+
+import argparse
+import json
+import os
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+from benchmarks.scores.score_undeclared import THREADS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """Flights to train and to judge on."""
+
+    robot: str
+    mapping: str
+    bandwidth: float
+    """[Hz]."""
+
+    train: Callable[[Path, Path], list[Path]]
+    """Of the folder of all data, and of one to write to."""
+
+    test: Callable[[Path, Path], list[Path]]
+
+
+def half(data: Path, folder: Path, name: str, number: int, parts: int = 2) -> Path:
+    """Write a part of a log of the ARPL collection as means of four rows, 126 Hz, and return the file."""
+    import pandas as pd
+
+    log = pd.read_csv(data / "arpl_crazyflie_imu" / f"{name}.csv")
+    rows = log[number * len(log) // parts : (number + 1) * len(log) // parts].reset_index(drop=True)
+    path = folder / f"{name}_{number}.csv"
+    rows.groupby(rows.index // 4).mean().to_csv(path, index=False)
+    return path
+
+
+def halves(number: int, *more: str) -> Callable[[Path, Path], list[Path]]:
+    """Return the first or second halves of two logs, and some whole ones."""
+    return lambda data, folder: [
+        *(half(data, folder, name, number) for name in ("log10", "log15")),
+        *(half(data, folder, name, 0, 1) for name in more),
+    ]
+
+
+def named(collection: str, *names: str) -> Callable[[Path, Path], list[Path]]:
+    """Return logs of a collection by name; patterns give all that fit, in order."""
+    return lambda data, _folder: [path for name in names for path in sorted((data / collection).glob(f"{name}.csv"))]
+
+
+def every_other(collection: str, *patterns: str) -> Callable[[Path, Path], list[Path]]:
+    """Return every other one of the logs that fit some patterns."""
+    everything = named(collection, *patterns)
+    return lambda data, folder: sorted(everything(data, folder))[::2]
+
+
+def both_ways(name: str, **fields) -> dict[str, Measured]:
+    """Return a set, and the same with test and training flights exchanged."""
+    back = fields | {"train": fields["test"], "test": fields["train"]}
+    return {name: Measured(**fields), f"{name}_back": Measured(**back)}
+
+
+SETS: dict[str, Measured] = {
+    "arpl": Measured(
+        robot="crazyflie_2x_arpl", mapping="arpl_crazyflie_imu", bandwidth=10.0, train=halves(0), test=halves(1)
+    ),
+    "arpl_yaw": Measured(
+        robot="crazyflie_2x_arpl",
+        mapping="arpl_crazyflie_imu",
+        bandwidth=10.0,
+        train=halves(0, "log16_a"),
+        test=halves(1),
+    ),
+    "idsia": Measured(
+        robot="crazyflie_21_brushless",
+        mapping="idsia_nanodrone",
+        bandwidth=10.0,
+        train=named("idsia_nanodrone", "square_*", "random*", "multisine_*"),
+        test=named("idsia_nanodrone", "melon_*"),
+    ),
+    "idsia_half": Measured(
+        robot="crazyflie_21_brushless",
+        mapping="idsia_nanodrone",
+        bandwidth=10.0,
+        train=every_other("idsia_nanodrone", "square_*", "random*", "multisine_*"),
+        test=named("idsia_nanodrone", "melon_*"),
+    ),
+    **both_ways(
+        "neural_swarm",
+        robot="crazyflie_21",
+        mapping="neural_swarm",
+        bandwidth=8.0,
+        train=named("neural_swarm", "groundflight_cf50_a", "takeoff_cf52", "groundflight_cf101_parrot"),
+        test=named("neural_swarm", "takeoff_cf50"),
+    ),
+    **both_ways(
+        "nanobench",
+        robot="crazyflie_21",
+        mapping="nanobench_cf21",
+        bandwidth=4.0,
+        train=named(
+            "nanobench_cf21", "B2_circle_fast_rep1", "B3_figure8_fast_rep1", "B7_oval_fast_rep1", "B8_star_medium_rep1"
+        ),
+        test=named("nanobench_cf21", "B9_trefoil_fast_rep1", "B5_helix_fast_rep1"),
+    ),
+    **both_ways(
+        "neural_fly",
+        robot="neural_fly_quad",
+        mapping="neural_fly",
+        bandwidth=5.0,
+        train=named("neural_fly", "NF_nowind", "baseline_35wind", "indi_35wind", "baseline_100wind", "NF_100wind"),
+        test=named("neural_fly", "NF_70wind", "baseline_70wind", "indi_70wind"),
+    ),
+}
+
+
+def score(name: str, data: Path) -> dict[str, object]:
+    """Return what the loop makes of a set; what it raised stands under ``error``."""
+    from aerial_gym.env_manager.sim_builder import robot_by_name
+    from aerial_gym.interop import one_thread
+    from aerial_gym.sim2real.in_memory import judge_flights
+    from aerial_gym.sim2real.logs.inputs import load_train_and_test
+
+    found = SETS[name]
+    with tempfile.TemporaryDirectory() as folder, one_thread():
+        try:
+            train, test = (files(data, Path(folder)) for files in (found.train, found.test))
+            robot = robot_by_name(found.robot)
+            flights = load_train_and_test(robot, train, test, found.mapping, found.bandwidth)
+            start = time.process_time()
+            judged = judge_flights(robot, *flights, bandwidth=found.bandwidth)
+        except Exception as error:  # one bad set must not end the others; it is counted
+            return {"set": name, "error": f"{type(error).__name__}: {error}"}
+    verdict = judged.verdict.as_mapping()
+    keys = ("verdict", "reason", "effects", "candidates", "inclusion", "before", "after", "test_flights", "structure")
+    return {
+        "set": name,
+        **{key: verdict[key] for key in keys},
+        "refused": judged.selection.chosen.refused,
+        "processor_s": round(time.process_time() - start, 1),
+        "most_memory_gb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 2),
+    }
+
+
+def lines_of(row: dict) -> list[str]:
+    """Return a row for people: what is named and what became of the residuals."""
+    if "error" in row:
+        return [f"{row['set']}: {row['error']}"]
+    found = [
+        f"{row['set']}: {row['verdict']} ({row['processor_s']} s of processor time, {row['most_memory_gb']} GB at most)"
+    ]
+    for effect in row["effects"]:
+        values = [
+            f"{key} {value:.4g} ± {1.96 * effect['std'][key]:.2g}" if key in effect["std"] else f"{key} {value:.4g}"
+            for key, value in effect["params"].items()
+        ]
+        ties = f", may as well be {' or '.join(effect['ties'])}" if effect["ties"] else ""
+        found.append(f"  {effect['name']}: {', '.join(values)}; confidence {effect['confidence']:.4g}{ties}")
+    for kind, axes in row["before"].items():
+        if kind in ("specific_force", "angular_acceleration"):
+            parts = [
+                f"{axis} {one['rms']:.3g} -> {row['after'][kind][axis]['rms']:.3g}"
+                for axis, one in axes.items()
+                if isinstance(one, dict)
+            ]
+            found.append(f"  {kind.replace('_', ' ')}: {', '.join(parts)}")
+    worse = [f"{name} {one['rises']:+.0%}" for name, one in row["test_flights"].items() if one["state"] == "worse"]
+    return [*found, f"  worse: {', '.join(worse) or 'nothing'}"]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Score the sets; return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, required=True, help="folder with a folder for each collection")
+    parser.add_argument("--sets", nargs="+", choices=SETS, default=list(SETS), metavar="SET", help=", ".join(SETS))
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--json", action="store_true", help="one JSON object a line")
+    args = parser.parse_args(argv)
+    if not args.data.is_dir():
+        print(f"{args.data}: no such folder", file=sys.stderr)
+        return 2
+    failed = False
+    os.environ.update(dict.fromkeys(THREADS, "1"))  # before the processes start: one core each
+    with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn"), max_tasks_per_child=1) as pool:
+        for future in as_completed([pool.submit(score, name, args.data) for name in args.sets]):
+            row = future.result()
+            failed |= "error" in row
+            print(json.dumps(row) if args.json else "\n".join(lines_of(row)), flush=True)
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

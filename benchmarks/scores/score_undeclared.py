@@ -1,0 +1,362 @@
+"""Does the loop name what the undeclared plant hides?
+
+    python -m benchmarks.scores.score_undeclared --seeds 101 102 [--nuisance | --tracked | --logged] [--size moderate] [--json]
+    python -m benchmarks.scores.score_undeclared --seeds 101 102 --effects all --sizes small moderate large --unknown \
+        --pairs com_offset+constant_wind --jobs 8 --out out/undeclared [--write TABLE.md]
+
+Without --effects: the first six effects. One case per effect, size and seed, and controls with nothing hidden, one for each
+kind of flight that the cases need. A case whose result lies in --out already is not flown again. Each row: verdict, effects
+named, the largest distance of a parameter from the truth in standard deviations, and the largest residual of force, angular
+acceleration or rotor speed on the test flights as a multiple of its noise floor, before and after. The plant shares no code
+with the package.
+"""
+
+import argparse
+import json
+import math
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from functools import cache
+from hashlib import sha256
+from multiprocessing import get_context
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from benchmarks.scores.undeclared_table import markdown, right_line
+from benchmarks.undeclared import EFFECTS, LOGGED, SIZES, TRACKED, UNKNOWN, make_case
+
+CLASSIC = tuple(EFFECTS)[:6]
+"""Scored where no --effects are given."""
+
+BANDWIDTH_HZ = 10.0
+"""Residuals are compared below it: the default of ``close-loop``, whose page is not drawn here."""
+
+HOVER: tuple[tuple[str, ...], ...] = (
+    (),
+    ("com_offset",),
+    ("thrust_coefficient",),
+    ("payload_mass",),
+    ("weak_motor",),
+    ("rotor_drag",),
+)
+"""What is hidden in cases whose training flights only hover, nothing among them; test flights move."""
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@cache
+def code_digest() -> str:
+    """Return a digest of plant, physics and identification: results of other code are not taken over."""
+    root, digest = Path(__file__).parents[2], sha256()
+    for folder in ("benchmarks/undeclared", "aerial_gym/physics", "aerial_gym/sim2real"):
+        for path in sorted((root / folder).rglob("*.py")):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """One case to score."""
+
+    hidden: tuple[str, ...]
+    """Names of the effects; none: a control."""
+
+    size: str
+    seed: int
+    nuisance: bool
+    tracked: bool
+    logged: bool
+    features: tuple[str, ...] = ()
+    """Of the flights, beside those that the effects need."""
+
+    num_train: int = 4
+    num_test: int = 3
+    duration_s: float = 16.0
+
+    @property
+    def key(self) -> str:
+        """Name of its result file: what it is, and a digest of all its fields and of the code that is judged."""
+        what = "-".join(("+".join(self.hidden) or "nothing", *self.features))
+        digest = sha256((json.dumps(asdict(self), sort_keys=True) + code_digest()).encode()).hexdigest()[:8]
+        return f"{what}_{self.size if self.hidden else 'none'}_{self.seed}_{digest}"
+
+
+def score(job: Job) -> dict[str, object]:
+    """Return what the loop made of one case; what it raised stands under ``error``."""
+    from aerial_gym.env_manager.sim_builder import robot_by_name
+    from aerial_gym.interop import one_thread
+    from aerial_gym.sim2real.in_memory import judge_flights
+    from aerial_gym.sim2real.logs.inputs import load_train_and_test
+
+    row: dict[str, object] = {**asdict(job), "hidden": "+".join(job.hidden) or "nothing", "effects": list(job.hidden)}
+    with tempfile.TemporaryDirectory() as name:
+        folder, start = Path(name), time.monotonic()
+        try:
+            files = make_case(
+                folder / "case",
+                effects=dict.fromkeys(job.hidden, job.size),
+                seed=job.seed,
+                nuisance=LOGGED if job.logged else TRACKED if job.tracked else job.nuisance,
+                features=job.features,
+                num_train=job.num_train,
+                num_test=job.num_test,
+                duration_s=job.duration_s,
+            )
+            flown = time.monotonic()
+            robot = robot_by_name(files.robot)
+            with one_thread():
+                flights = load_train_and_test(robot, files.train, files.test, None, BANDWIDTH_HZ)
+                verdict = judge_flights(robot, *flights, bandwidth=BANDWIDTH_HZ).verdict.as_mapping()
+        except Exception as error:  # one bad case must not end a run of hours; it is counted, and not kept
+            return {**row, "error": f"{type(error).__name__}: {error}", "verdict": "error", "named": [], "right": False}
+        truth = json.loads(files.truth.read_text())["effects"]
+        times = {"fly_s": flown - start, "loop_s": time.monotonic() - flown}
+    return {**row, **judge(verdict, truth), "truth": truth, **times}
+
+
+def judge(verdict: dict, truth: dict[str, dict[str, float]]) -> dict[str, object]:
+    """Return the judgement of a verdict against the hidden effects and their parameters."""
+    named = {e["name"]: e for e in verdict["effects"]}
+    found = []
+    for effect in (name for name in named if name in truth):
+        params, stds = _at_height_of(truth[effect], named[effect]["params"], named[effect]["std"])
+        for key, true in truth[effect].items():
+            std = stds.get(key)
+            if std:
+                value = params[key]
+                found.append({"effect": effect, "name": key, "true": true, "value": value, "std": std})
+    distances = [abs(p["value"] - p["true"]) / p["std"] for p in found]
+    return {
+        "verdict": verdict["verdict"],
+        "named": list(named),
+        "candidates": list(verdict.get("candidates", [])),
+        "not_testable": list(verdict.get("not_testable", [])),
+        "structure": verdict.get("structure"),
+        "right": set(named) == set(truth)
+        and verdict["verdict"] in (("explained",) if truth else ("none", "not shown")),
+        "judgement": _judgement(list(named), list(truth), verdict),
+        "worst_z": max(distances, default=0.0),
+        "inside": sum(z < 1.96 for z in distances),
+        "intervals": len(distances),
+        "parameters": found,
+        "before_over_floor": _over_floor(verdict["before"]),
+        "after_over_floor": _over_floor(verdict["after"]),
+    }
+
+
+def _at_height_of(
+    truth: dict[str, float], params: dict[str, float], std: dict[str, float]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return parameters and their spread with a sheared wind at the reference height of the truth; others as they are."""
+    if "z_ref" not in truth:
+        return params, std
+    factor = (truth["z_ref"] / params["z_ref"]) ** params["exponent"]
+    slope = abs(math.log(truth["z_ref"] / params["z_ref"]))
+    moved, spread = dict(params), dict(std)
+    for key in "xy":
+        moved[key] = factor * params[key]
+        spread[key] = factor * math.hypot(std[key], params[key] * slope * std["exponent"])
+    return moved, spread
+
+
+def _judgement(named: list[str], hidden: list[str], verdict: dict) -> str:
+    """Return right, near, wrong or missed; quiet or false alarm for a control; given a name or held back if unknown.
+
+    Near: no more named than the hidden effects and those that the package lists as confused with them; or an ambiguous
+    verdict whose candidates have the hidden effects.
+    """
+    library = [name for name in named if name != "learned_residual"]
+    if not hidden:
+        return "false alarm" if library else "quiet"
+    if any(name in UNKNOWN for name in hidden):
+        return "given a name" if set(library) - set(hidden) else "held back"
+    if set(named) == set(hidden) and verdict["verdict"] == "explained":
+        return "right"
+    if verdict["verdict"] == "ambiguous" and set(hidden) <= {*library, *verdict.get("candidates", ())}:
+        return "near"
+    if not library:
+        return "missed"
+    return "near" if set(library) <= {*hidden, *(c for name in hidden for c in _confused_with(name))} else "wrong"
+
+
+def _confused_with(name: str) -> tuple[str, ...]:
+    """Return what the package says an effect can be taken for; nothing for an effect that it does not have."""
+    from aerial_gym.errors import UnknownNameError
+    from aerial_gym.physics.effects import EFFECTS as LIBRARY
+
+    try:
+        return tuple(LIBRARY.get(name).confused_with)
+    except UnknownNameError:
+        return ()
+
+
+def _over_floor(model: dict[str, dict[str, dict[str, float]]]) -> float:
+    """Return the largest residual of force or angular acceleration as a multiple of its noise floor."""
+    return max(
+        entry["rms"] / entry["noise_floor"]
+        for kind in ("specific_force", "angular_acceleration", "rotor_speed")
+        for axis, entry in model.get(kind, {}).items()
+        if axis != "unit" and "noise_floor" in entry
+    )
+
+
+def plan_jobs(args: argparse.Namespace) -> list[Job]:
+    """Return the cases that the flags ask for, seed by seed; controls first."""
+    effects = list(EFFECTS) if args.effects == ["all"] else args.effects
+    unknown = list(UNKNOWN) if args.unknown else []
+    pairs = [tuple(pair.split("+")) for pair in args.pairs]
+    cases = [(name,) for name in (*effects, *unknown)] + pairs
+    known = {**EFFECTS, **UNKNOWN}
+    if missing := sorted({name for case in cases for name in case} - set(known)):
+        raise ValueError(f"no effect {missing}. Known: all, {', '.join(known)}")
+    flights = sorted({tuple(sorted({f for name in case for f in known[name].needs})) for case in cases} | {()})
+    base = {
+        name: getattr(args, name) for name in ("nuisance", "tracked", "logged", "num_train", "num_test", "duration_s")
+    }
+    jobs = []
+    for seed in args.seeds:
+        jobs += [Job(hidden=(), size="moderate", seed=seed, features=f, **base) for f in flights]
+        if args.controls:
+            continue
+        jobs += [Job(hidden=case, size=size, seed=seed, **base) for case in cases for size in args.sizes]
+        if args.hover:
+            jobs += [Job(hidden=case, size="moderate", seed=seed, features=("hover",), **base) for case in HOVER]
+    return jobs
+
+
+def run_jobs(jobs: list[Job], *, processes: int, out: Path | None) -> Iterator[dict[str, object]]:
+    """Yield the rows as they come: those kept in ``out`` first, then the others, which are kept as they come."""
+    todo = []
+    for job in jobs:
+        kept = out / f"{job.key}.json" if out else None
+        if kept is not None and kept.is_file():
+            yield json.loads(kept.read_text())
+        else:
+            todo.append(job)
+    if processes == 1:
+        for job in todo:
+            yield _keep(job, score(job), out)
+        return
+    os.environ.update(dict.fromkeys(THREADS, "1"))  # before the processes start: one core each
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        try:
+            futures = {pool.submit(score, job): job for job in todo}
+            for future in as_completed(futures):
+                yield _keep(futures[future], future.result(), out)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _keep(job: Job, row: dict[str, object], out: Path | None) -> dict[str, object]:
+    """Write a row to its file, whole or not at all, and return it; a failed case is to be tried again."""
+    if out is not None and "error" not in row:
+        out.mkdir(parents=True, exist_ok=True)
+        part = out / f"{job.key}.json.part"
+        part.write_text(json.dumps(row, indent=1) + "\n")
+        part.replace(out / f"{job.key}.json")
+    return row
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, nargs="+", required=True)
+    parser.add_argument("--size", default=None, choices=SIZES, help="one size; --sizes takes several")
+    parser.add_argument("--sizes", nargs="+", choices=SIZES, help="default: moderate")
+    parser.add_argument("--effects", nargs="*", default=list(CLASSIC), help="names, or all; default: the first six")
+    parser.add_argument("--pairs", nargs="+", default=[], metavar="A+B", help="two effects at once")
+    parser.add_argument("--unknown", action="store_true", help="also causes outside the package")
+    parser.add_argument("--nuisance", action="store_true", help="small errors everywhere, as real vehicles have")
+    parser.add_argument(
+        "--tracked", action="store_true", help="these, markers that are aligned by eye, a bias of each flight's own"
+    )
+    parser.add_argument(
+        "--logged", action="store_true", help="these, every sensor late, an accelerometer with a scale and a place"
+    )
+    parser.add_argument("--hover", action="store_true", help="also cases whose training flights only hover")
+    parser.add_argument("--controls", action="store_true", help="only the controls of these cases")
+    parser.add_argument("--num-train", type=int, default=4)
+    parser.add_argument("--num-test", type=int, default=3)
+    parser.add_argument("--duration-s", type=float, default=16.0)
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument(
+        "--out", type=Path, help="folder that keeps the result of each case; an interrupted run goes on"
+    )
+    parser.add_argument("--write", type=Path, help="also write the tables to this markdown file")
+    parser.add_argument("--json", action="store_true", help="one JSON object a line")
+    return parser
+
+
+def main() -> int:
+    """Score the cases and print a table and the totals; return the exit status."""
+    args = _parser().parse_args()
+    if args.size and args.sizes:
+        print("give --size or --sizes, not both", file=sys.stderr)
+        return 2
+    args.sizes = args.sizes or [args.size or "moderate"]
+    try:
+        jobs = plan_jobs(args)
+    except ValueError as error:
+        print(error, file=sys.stderr)
+        return 2
+    if not args.json:
+        print("| hidden | size | seed | verdict | named | right | worst z | before / floor | after / floor |")
+        print("| --- | --- | --- | --- | --- | --- | --- | --- | --- |", flush=True)
+    rows = []
+    console = Console(stderr=True)
+    columns = (TextColumn("cases"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        task = progress.add_task("cases", total=len(jobs))
+        for row in run_jobs(jobs, processes=args.jobs, out=args.out):
+            rows.append(row)
+            progress.advance(task)
+            print(json.dumps(row) if args.json else _line(row), flush=True)
+    order = {(job.hidden, job.size, job.seed, job.features): i for i, job in enumerate(jobs)}
+    rows.sort(key=lambda r: order[tuple(r["effects"]), r["size"], r["seed"], tuple(r["features"])])
+    if not args.json:
+        print(f"\n{right_line(rows)}\n\n{markdown(rows)}")
+    if args.write:
+        args.write.write_text(_page(rows, sys.argv[1:]))
+    return 0
+
+
+def _line(row: dict) -> str:
+    """Return a row of the table of cases."""
+    hidden = row["hidden"] if row["effects"] else " ".join(("nothing", *row["features"]))
+    start = f"| {hidden} | {row['size'] if row['effects'] else '-'} | {row['seed']} | {row['verdict']}"
+    if "error" in row:
+        return f"{start} | {row['error']} | False | - | - | - |"
+    numbers = f"{row['worst_z']:.2f} | {row['before_over_floor']:.2f} | {row['after_over_floor']:.2f}"
+    return f"{start} | {', '.join(row['named']) or '-'} | {row['right']} | {numbers} |"
+
+
+def _page(rows: list[dict], arguments: list[str]) -> str:
+    """Return the page with the tables and how they were made."""
+    return f"""# The loop on flights with an undeclared effect
+
+`python -m benchmarks.scores.score_undeclared {" ".join(arguments)}`
+
+An independent plant (`benchmarks/undeclared`; its README has the equations) flies with an effect that its robot file does
+not mention; the loop gets the logs and the robot file.
+
+{right_line(rows)}
+
+{markdown(rows)}
+
+## Cases
+
+| hidden | size | seed | verdict | named | right | worst z | before / floor | after / floor |
+| --- | --- | --- | --- | --- | --- | --- | --- | --- |
+{chr(10).join(_line(row) for row in rows)}
+"""
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""What a start, a layout in memory, an option costs."""

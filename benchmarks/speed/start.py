@@ -1,0 +1,89 @@
+"""``python -m benchmarks.speed.start``: how long a task takes from the start of the process to its tenth step, part by part.
+
+With ``--readme`` the example of README.md runs instead, to the first step of its environment and of its task. Run either twice:
+the first run of a machine compiles kernels (``WARP_CACHE_PATH=$(mktemp -d)`` makes any run a first one).
+"""
+
+import argparse
+import ast
+import json
+import re
+import time
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from io import StringIO
+from pathlib import Path
+
+_BEGIN = time.perf_counter() - time.process_time()  # the interpreter's own start counts as well, about
+
+README = Path(__file__).parents[2] / "README.md"
+
+
+def readme_example(text: str, *, device: str) -> list[ast.stmt]:
+    """Return the statements of the first Python block of a page, on another device than ``auto``."""
+    found = re.search(r"```python\n(.*?)```", text, re.DOTALL)
+    if found is None:
+        raise ValueError("the page has no block of Python")
+    return ast.parse(found[1].replace('device="auto"', f'device="{device}"')).body
+
+
+def _run_readme(device: str, note: Callable[[str], None]) -> dict[str, object]:
+    names: dict[str, object] = {}
+    for statement in readme_example(README.read_text(encoding="utf-8"), device=device):
+        with redirect_stdout(StringIO()):
+            exec(compile(ast.Module([statement], []), str(README), "exec"), names)
+        said = ast.unparse(statement)
+        for start, what in (
+            ("from aerial_gym", "imports"),
+            ("env.step", "env_step_1"),
+            ("env.render", "render"),
+            ("obs, reward", "task_step_1"),
+        ):
+            if said.startswith(start):
+                note(what)
+    return {"example": README.name, "device": device}
+
+
+def _run_task(asked: argparse.Namespace, note: Callable[[str], None]) -> dict[str, object]:
+    import torch
+
+    note("torch")
+    import warp  # noqa: F401
+
+    note("warp")
+    from aerial_gym import task_registry
+
+    capture = False if asked.no_capture else None
+    task = task_registry.make_task(asked.task, num_envs=asked.num_envs, device=asked.device, capture=capture)
+    note("make_task")
+    task.reset()
+    note("reset")
+    actions = torch.zeros(task.num_envs, task.num_actions, device=task.device)
+    for step in range(1, 11):
+        task.step(actions)
+        if step in (1, 10):
+            float(task.episode_return[0])  # waits for the device
+            note(f"step_{step}")
+    return {"task": asked.task, "device": str(task.device), "captured": task.captured}
+
+
+def main() -> None:
+    """Print one JSON object; every number is the time since the process began [s], ``processor_s`` that of its threads."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--readme", action="store_true")
+    parser.add_argument("--task", default="position_setpoint_task")
+    parser.add_argument("--num-envs", type=int, default=4096)
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--no-capture", action="store_true")
+    asked = parser.parse_args()
+    since: dict[str, object] = {}
+
+    def note(what: str) -> None:
+        since[f"{what}_s"] = round(time.perf_counter() - _BEGIN, 2)
+
+    what = _run_readme(asked.device, note) if asked.readme else _run_task(asked, note)
+    print(json.dumps({**what, **since, "processor_s": round(time.process_time(), 2)}))
+
+
+if __name__ == "__main__":
+    main()

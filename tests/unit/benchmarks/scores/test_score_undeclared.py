@@ -1,0 +1,165 @@
+"""The scoring of cases: judgement, intervals, tables, and runs that go on after an interruption."""
+
+import argparse
+import json
+from pathlib import Path
+
+import pytest
+
+from benchmarks.scores import score_undeclared
+from benchmarks.scores.score_undeclared import CLASSIC, Job, judge, plan_jobs, run_jobs
+from benchmarks.scores.undeclared_table import clopper_pearson, markdown, right_line, share
+from benchmarks.undeclared import EFFECTS, UNKNOWN
+
+CLEAN = {"specific_force": {"unit": "m/s²", "x": {"rms": 3.0, "noise_floor": 2.0}}}
+
+
+def verdict(kind: str, **params: dict[str, tuple[float, float]]) -> dict:
+    """Return a verdict with effects given as name to parameter to value and standard deviation."""
+    effects = [
+        {"name": n, "params": {k: v[0] for k, v in p.items()}, "std": {k: v[1] for k, v in p.items()}}
+        for n, p in params.items()
+    ]
+    return {"verdict": kind, "effects": effects, "candidates": [], "not_testable": [], "before": CLEAN, "after": CLEAN}
+
+
+@pytest.mark.parametrize(
+    ("hidden", "kind", "named", "expected"),
+    [
+        (["com_offset"], "explained", ["com_offset"], "right"),
+        (["com_offset"], "unexplained", ["com_offset"], "near"),
+        (["com_offset"], "explained", ["com_offset", "motor_tilt"], "near"),
+        (["com_offset"], "explained", ["actuation_delay"], "wrong"),
+        (["com_offset"], "unexplained", [], "missed"),
+        (["com_offset"], "unexplained", ["learned_residual"], "missed"),
+        (["com_offset", "constant_wind"], "explained", ["constant_wind", "com_offset"], "right"),
+        (["com_offset", "constant_wind"], "explained", ["com_offset"], "near"),
+        ([], "none", [], "quiet"),
+        ([], "explained", ["payload_mass"], "false alarm"),
+        (["unknown_time"], "unexplained", ["learned_residual"], "held back"),
+        (["unknown_time"], "explained", ["thrust_coefficient"], "given a name"),
+    ],
+)
+def test_verdicts_are_judged(hidden: list[str], kind: str, named: list[str], expected: str) -> None:
+    found = judge(verdict(kind, **{name: {} for name in named}), {name: {} for name in hidden})
+    assert found["judgement"] == expected
+    assert found["right"] == (expected in ("right", "quiet"))
+    assert found["before_over_floor"] == 1.5
+
+
+def test_an_ambiguous_verdict_that_offers_the_hidden_effect_is_near() -> None:
+    for candidates, expected in ((["weak_motor", "com_offset"], "near"), (["weak_motor", "motor_tilt"], "missed")):
+        found = judge({**verdict("ambiguous"), "candidates": candidates}, {"com_offset": {}})
+        assert found["judgement"] == expected
+
+
+def test_parameters_are_compared_in_standard_deviations() -> None:
+    """1.0 and 3.0 standard deviations away: one of two inside; a parameter without a deviation does not count."""
+    given = verdict("explained", com_offset={"x": (0.006, 0.001), "y": (0.002, 0.001), "z": (0.1, 0.0)})
+    found = judge(given, {"com_offset": {"x": 0.007, "y": -0.001, "z": 0.0}})
+    assert (found["inside"], found["intervals"]) == (1, 2)
+    assert found["worst_z"] == pytest.approx(3.0)
+
+
+def test_clopper_pearson_has_its_closed_forms() -> None:
+    """No hit of n: up to 1 - (a/2)^(1/n); all: mirrored; its own definition as binomial tails for 7 of 10."""
+    assert clopper_pearson(0, 20) == pytest.approx((0.0, 1.0 - 0.025 ** (1 / 20)))
+    assert clopper_pearson(20, 20) == pytest.approx((0.025 ** (1 / 20), 1.0))
+    from scipy.stats import binom
+
+    low, high = clopper_pearson(7, 10)
+    assert binom.sf(6, 10, low) == pytest.approx(0.025)
+    assert binom.cdf(7, 10, high) == pytest.approx(0.025)
+    assert share(19, 20).startswith("19 of 20 (95 %, 75 to 100)")
+
+
+def flags(**changes: object) -> argparse.Namespace:
+    args = score_undeclared._parser().parse_args(["--seeds", "1", "2"])
+    args.sizes = ["moderate"]
+    for name, value in changes.items():
+        setattr(args, name, value)
+    return args
+
+
+def test_cases_are_those_that_were_asked_for() -> None:
+    """By default the first six effects and a plain control for each seed, as it was; all, pairs and unknown add theirs."""
+    jobs = plan_jobs(flags())
+    assert [job.hidden for job in jobs[:7]] == [(), *((name,) for name in CLASSIC)]
+    assert len(jobs) == 14
+    jobs = plan_jobs(flags(effects=["all"], unknown=True, pairs=["com_offset+gusts"], sizes=["small", "large"]))
+    controls = {job.features for job in jobs if not job.hidden}
+    assert controls == {(), ("battery",), *(("battery", f) for f in ("low", "ceiling", "heights", "other"))}
+    assert len(jobs) == 2 * (6 + 2 * (len(EFFECTS) + len(UNKNOWN) + 1))
+    assert len({job.key for job in jobs}) == len(jobs)
+    alone = plan_jobs(flags(effects=["all"], controls=True))
+    assert {job.features for job in alone} == controls
+    assert len(alone) == 2 * 6
+    with pytest.raises(ValueError, match=r"no effect \['com'\]. Known: all, rotor_drag"):
+        plan_jobs(flags(effects=["com"]))
+
+
+def fake_row(job: Job) -> dict[str, object]:
+    """Return a row of an effect that is always named, with one parameter."""
+    truth = {name: {"a": 1.0} for name in job.hidden}
+    given = verdict("explained" if truth else "none", **{name: {"a": (1.1, 0.1)} for name in truth})
+    row = {"hidden": "+".join(job.hidden) or "nothing", "effects": list(job.hidden), "size": job.size, "seed": job.seed}
+    return {**row, "features": list(job.features), **judge(given, truth), "fly_s": 1.0, "loop_s": 2.0}
+
+
+def test_an_interrupted_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows that were kept are not made again; a failed case is; no file is left half written."""
+    jobs, made = plan_jobs(flags(effects=["rotor_drag"], seeds=[1, 2])), []
+
+    def scored(job: Job) -> dict[str, object]:
+        made.append(job)
+        if len(made) == 3:
+            raise KeyboardInterrupt
+        return {**fake_row(job), **({"error": "DataError: x", "right": False} if len(made) == 2 else {})}
+
+    monkeypatch.setattr(score_undeclared, "score", scored)
+    with pytest.raises(KeyboardInterrupt):
+        list(run_jobs(jobs, processes=1, out=tmp_path))
+    assert [path.name for path in tmp_path.iterdir()] == [f"{jobs[0].key}.json"]
+    assert len(list(run_jobs(jobs, processes=1, out=tmp_path))) == len(jobs) == 4
+    assert made[3:] == jobs[1:]
+    assert json.loads((tmp_path / f"{jobs[3].key}.json").read_text())["hidden"] == "rotor_drag"
+
+
+def test_tables_count_the_rows() -> None:
+    """Names, parameters with coverage, controls and unknown causes each have their table."""
+    jobs = plan_jobs(flags(effects=["rotor_drag", "gusts"], unknown=True))
+    rows = [fake_row(job) for job in jobs]
+    assert right_line(rows) == "right 16 of 16; true value inside 12 of 12 intervals"
+    text = markdown(rows)
+    assert "| rotor_drag | moderate | 2 | 2 | 0 | 0 | 0 | 0 | - |" in text
+    assert "| gusts | a | 2 | 0.1 | 0.1 | 10.00% | 2 of 2 (100 %, 16 to 100) |" in text
+    assert "| battery | 2 | 0 of 2 (0 %, 0 to 84) | - |" in text
+    assert "| unknown_time | moderate | 2 | 0 of 2 (0 %, 0 to 84) | - | explained | - |" in text
+    assert "Time of a case: 1 s to fly (at most 1), 2 s in the loop (at most 2)." in text
+
+
+def test_the_command_prints_and_writes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    """Rows and totals on stdout; the page only when asked for; a wrong request is told, with status 2."""
+    monkeypatch.setattr(score_undeclared, "score", fake_row)
+    page = tmp_path / "page.md"
+    monkeypatch.setattr("sys.argv", ["score", "--seeds", "205", "--write", str(page)])
+    assert score_undeclared.main() == 0
+    assert "right 7 of 7; true value inside 6 of 6 intervals" in capsys.readouterr().out
+    assert page.read_text().count("| rotor_drag |") == 4  # names, parameters, hidden and named
+    monkeypatch.setattr("sys.argv", ["score", "--seeds", "205", "--effects", "drag"])
+    assert score_undeclared.main() == 2
+    assert "no effect ['drag']" in capsys.readouterr().err
+
+
+def test_a_sheared_wind_is_compared_at_one_height() -> None:
+    """3 m/s at 2 m with an exponent of 0.25 are 3 x 5^0.25 = 4.486 m/s at 10 m; an exponent off by 0.01 moves that by 1.6 %."""
+    found = verdict("explained", wind_shear={"x": (3.0, 0.0), "y": (0.0, 0.1), "exponent": (0.25, 0.01)})
+    found["effects"][0]["params"]["z_ref"] = 2.0
+    truth = {"wind_shear": {"x": 4.486, "y": 0.0, "z_ref": 10.0, "exponent": 0.24}}
+    rows = {row["name"]: row for row in judge(found, truth)["parameters"]}
+    assert rows["x"]["value"] == pytest.approx(4.486, abs=1e-3)
+    assert rows["x"]["std"] == pytest.approx(4.486 * 0.01609, rel=1e-3)
+    assert rows["y"]["std"] == pytest.approx(0.1 * 5.0**0.25, rel=1e-3)
+    assert rows["exponent"]["value"] == 0.25
