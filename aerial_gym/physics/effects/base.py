@@ -297,7 +297,12 @@ class Effect(ABC):
     @property
     def sought(self) -> bool:
         """Whether it can be looked for in flights."""
-        return not self.random and self.medium == "air" and self.on_rigid
+        return self.predicts and self.medium == "air"
+
+    @property
+    def predicts(self) -> bool:
+        """Whether a vehicle that is taken as rigid is predicted with it."""
+        return self.on_rigid and not self.random
 
     @property
     def has_twin(self) -> bool:

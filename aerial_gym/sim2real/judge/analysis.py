@@ -329,7 +329,7 @@ def corrected_robot(declared: Declared, params: ModelParams, accepted: Sequence[
     learned = robot if params.learned is None else replace(robot, learned_residual=params.learned.cfg)
     if not accepted:
         return learned
-    effects = {name: dict(values) for name, values in robot.effects.items() if not EFFECTS.get(name).on_rigid}
+    effects = {name: dict(values) for name, values in robot.effects.items() if not EFFECTS.get(name).predicts}
     effects |= {
         name: {p.name: float(v) for p, v in zip(EFFECTS.get(name).parameters, values, strict=True)}
         for name, values in params.effects.items()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import LearnedResidual
-from aerial_gym.physics.model import EffectParams, effects_on_rigid
+from aerial_gym.physics.model import EffectParams
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ class ModelParams:
 
 def declared_params(robot: RobotCfg) -> ModelParams:
     """Return the model that the robot file declares, taken as rigid, without what is random."""
-    kept = {name: values for name, values in effects_on_rigid(robot).items() if not EFFECTS.get(name).random}
+    kept = {name: values for name, values in robot.effects.items() if EFFECTS.get(name).predicts}
     return ModelParams(
         effects={name: np.array(EFFECTS.get(name).params_from(values)) for name, values in kept.items()},
         learned=None if robot.learned_residual is None else LearnedResidual(robot.learned_residual),

@@ -1,5 +1,6 @@
 """What the last stage of the loop tells a reader, of results that are given."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,13 +8,22 @@ import pytest
 
 from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, Nuisance
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
-from aerial_gym.sim2real.judge.analysis import about_logs, open_notes, own_notes, strained_notes, surrogate_notes
+from aerial_gym.sim2real.judge.analysis import (
+    about_logs,
+    corrected_robot,
+    open_notes,
+    own_notes,
+    strained_notes,
+    surrogate_notes,
+)
 from aerial_gym.sim2real.predict.channels import Channel
+from aerial_gym.sim2real.predict.model_params import declared_params
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.unit.sim2real.fitted_sets import PLACE, chosen_of, fitted, selection_of
 from tests.unit.sim2real.flat_flights import ROBOT
 from tests.unit.sim2real.predict.test_scene import hover
 
+RANDOM = {"gusts": {"std": 1.5, "corr_time": 0.8}, "random_force": {"x": 0.1, "y": 0.1, "z": 0.2, "hold": 0.01}}
 FORCES = [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
 
 
@@ -96,3 +106,16 @@ def test_offsets_that_each_flight_has_of_its_own_are_told_with_their_size() -> N
         "each flight has an offset of its own in specific_force.x 0.012 m/s² (rms): a sensor that warms"
     )
     assert own_notes(selection_of(chosen_of(fitted(structures=(PLACE,))))) == []
+
+
+def test_what_is_random_in_a_robot_file_stays_in_the_corrected_one() -> None:
+    """No row is predicted with it, and what is found in its place replaces it."""
+    robot = replace(ROBOT, effects={**RANDOM, "rotor_drag": {"dx": 0.1, "dy": 0.1, "dz": 0.0}}, effects_source="test")
+    declared = SimpleNamespace(robot=robot, stated=robot, train=SimpleNamespace(flights=[hover("a", 5.0)]))
+    params = declared_params(robot).with_effect("payload_mass", np.array([0.02]))
+    found = corrected_robot(declared, params, ["payload_mass"]).effects  # type: ignore[arg-type]
+    assert {name: found[name] for name in RANDOM} == RANDOM
+    assert {"rotor_drag", "payload_mass"} == set(found) - set(RANDOM)
+    params = params.with_effect("gusts", np.array([2.0, 0.5]))
+    found = corrected_robot(declared, params, ["payload_mass", "gusts"]).effects  # type: ignore[arg-type]
+    assert found["gusts"] == {"std": 2.0, "corr_time": 0.5}
