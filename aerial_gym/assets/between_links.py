@@ -113,7 +113,7 @@ class BetweenLinks:
             self._table = ShapeTable([ShapeCfg(kind="compound", parts=parts)] if parts else [], device=device)
             body = body_shapes(cfg.shapes, device=device)
             links = [list(names).index(shape.link) for shape in cfg.shapes]
-            self.pairs = self._pairs(links, parents, body)
+            self.pairs = pairs_apart(cfg, names=names, parents=parents, device=device)
             """Pairs of places in ``cfg.shapes`` that are looked at."""
             pairs = wp.array(self.pairs, dtype=wp.int32, device=self._place, ndim=2)
             self._fixed = [self._table.array, body, wp.array(links, dtype=wp.int32, device=self._place), pairs]
@@ -121,38 +121,6 @@ class BetweenLinks:
         now = state.unsqueeze(0)
         self._now = self._record(now[..., :3], now[..., 3:7], is_step=False, crashes=nothing)
         self._step: RecordedLaunch | None = None
-
-    def _pairs(self, links: list[int], parents: Sequence[int], body: wp.array) -> list[tuple[int, int]]:
-        carrier = dict(zip(range(1, len(parents) + 1), parents, strict=True))
-
-        def next_with_shapes(link: int) -> int | None:
-            while link > 0:
-                link = carrier[link]
-                if link in links:
-                    return link
-            return None
-
-        def connected(a: int, b: int) -> bool:
-            return a == b or next_with_shapes(a) == b or next_with_shapes(b) == a
-
-        found = [(i, j) for i, j in combinations(range(len(links)), 2) if not connected(links[i], links[j])]
-        if found:
-            gap = wp.zeros(len(found), dtype=wp.float32, device=self._place)
-            pairs = wp.array(found, dtype=wp.int32, device=self._place, ndim=2)
-            wp.launch(
-                _in_reference,
-                dim=len(found),
-                inputs=[self._table.array, body, pairs],
-                outputs=[gap],
-                device=self._place,
-            )
-            found = [pair for pair, apart in zip(found, gap.numpy().tolist(), strict=True) if apart > 0.0]
-        if not found:
-            raise ConfigError(
-                "CollisionCfg.between_links: no two shapes can be looked at: give shapes on links that no joint connects and "
-                "that are apart in the reference pose"
-            )
-        return found
 
     def follow(self, position: Tensor, attitude: Tensor, *, crashes_out: Tensor) -> None:
         """Make ready for ``step``.
@@ -190,3 +158,47 @@ class BetweenLinks:
         assert self._step is not None
         with on_torch_stream(self._out):
             self._step.launch()
+
+
+def pairs_apart(
+    cfg: CollisionCfg, *, names: Sequence[str], parents: Sequence[int], device: torch.device
+) -> list[tuple[int, int]]:
+    """Return pairs of places in ``cfg.shapes`` on links that no joint connects, which are apart in the reference pose.
+
+    Args:
+        cfg: The collision shapes.
+        names: Of the links, L of them, the base first.
+        parents: Link on which each but the base sits, L - 1 of them.
+        device: Where their distance is measured.
+
+    Raises:
+        ConfigError: If there is none.
+    """
+    links = [list(names).index(shape.link) for shape in cfg.shapes]
+    carrier = dict(zip(range(1, len(parents) + 1), parents, strict=True))
+
+    def next_with_shapes(link: int) -> int | None:
+        while link > 0:
+            link = carrier[link]
+            if link in links:
+                return link
+        return None
+
+    def connected(a: int, b: int) -> bool:
+        return a == b or next_with_shapes(a) == b or next_with_shapes(b) == a
+
+    found = [(i, j) for i, j in combinations(range(len(links)), 2) if not connected(links[i], links[j])]
+    if found:
+        place, body = wp.device_from_torch(device), body_shapes(cfg.shapes, device=device)
+        parts = tuple(replace(part, link=BASE) for part in cfg.parts)
+        table = ShapeTable([ShapeCfg(kind="compound", parts=parts)], device=device)
+        gap = wp.zeros(len(found), dtype=wp.float32, device=place)
+        pairs = wp.array(found, dtype=wp.int32, device=place, ndim=2)
+        wp.launch(_in_reference, dim=len(found), inputs=[table.array, body, pairs], outputs=[gap], device=place)
+        found = [pair for pair, apart in zip(found, gap.numpy().tolist(), strict=True) if apart > 0.0]
+    if not found:
+        raise ConfigError(
+            "CollisionCfg.between_links: no two shapes can be looked at: give shapes on links that no joint connects and "
+            "that are apart in the reference pose"
+        )
+    return found

@@ -25,11 +25,11 @@ def recorded(
     """Return the record of a step that the test needs; None where there is nothing to follow, or contact pushes back.
 
     Raises:
-        CapabilityError: If links should collide with each other under contact that pushes back or gradients.
+        CapabilityError: If links should collide with each other under gradients.
     """
     between = robot.collision.between_links
-    if between and (env.contact is not None or gradients):
-        raise CapabilityError("collision: between_links: not with contact that pushes back, nor with gradients")
+    if between and gradients:
+        raise CapabilityError("collision: between_links: not with gradients")
     links = between or (robot.collides_with_links and bool(env.num_assets or env.ground))
     if env.contact is not None or not (env.num_assets or links):
         return None

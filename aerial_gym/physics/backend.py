@@ -42,6 +42,9 @@ class Capabilities:
     joints: bool = False
     """Whether bodies can hang on joints."""
 
+    contact_of_links: bool = False
+    """Whether the ground can push back on bodies that hang on joints, and these on each other."""
+
 
 class ControlLaw(Protocol):
     """What turns an action into rotor commands, once per physics step. The controllers fulfil it."""

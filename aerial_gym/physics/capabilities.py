@@ -46,6 +46,9 @@ class Needs:
     joints: bool = False
     """Whether bodies hang on joints."""
 
+    contact_of_links: bool = False
+    """Whether these are pushed by the ground, or by each other."""
+
 
 def needs_of(robot: RobotCfg, device: torch.device, **others: object) -> Needs:
     """Return what a robot needs, with other fields of ``Needs`` by name."""
@@ -67,7 +70,11 @@ def _lacking(able: Capabilities, needs: Needs) -> Iterator[str]:
             yield f"run effect {name!r}"
     for trait in sorted(needs.rotors - set(able.rotors)):
         yield f"run {_ROTOR_WORDS[trait]}"
-    for name, words in (("contact", "push back at a contact"), ("joints", "move joints")):
+    for name, words in (
+        ("contact", "push back at a contact"),
+        ("joints", "move joints"),
+        ("contact_of_links", "push back at a contact of a vehicle with joints"),
+    ):
         if getattr(needs, name) and not getattr(able, name):
             yield words
     if needs.gradients and not able.differentiable:

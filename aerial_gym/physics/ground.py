@@ -8,12 +8,27 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from aerial_gym.config.collision import CollisionShape
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.math.quaternion import quat_rotate
 from aerial_gym.physics.contact import Contacts, push
 from aerial_gym.physics.integrators import MassState
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.state import BodyState
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkShapes:
+    """What of a vehicle that bends touches what."""
+
+    links: tuple[int, ...]
+    """Link of each sphere that can touch the ground, the base being 0, (C,)."""
+
+    shapes: tuple[tuple[int, CollisionShape], ...] = ()
+    """Shapes that can touch each other, with their links; in the axes of these, from their origins."""
+
+    pairs: tuple[tuple[int, int], ...] = ()
+    """Places in ``shapes`` of those that push each other."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +50,9 @@ class Ground:
 
     impulse: Tensor | None = None
     """With ``cfg``: receives the sum of the impulses [N s], world, (E, 3). Never cleared by the physics."""
+
+    on_links: LinkShapes | None = None
+    """With ``cfg``, of a vehicle that bends: ``spheres`` are then in the axes of the links that it names."""
 
 
 def touches_ground(ground: Ground, state: BodyState) -> Tensor:

@@ -183,7 +183,7 @@ class TorchBackend:
             known = ", ".join(self.capabilities.integrators)
             raise CapabilityError(f"backend {self.name}: no integrator {integrator!r}. Known: {known}")
         if model.articulation is not None:
-            check_jointed(integrator, ground)
+            check_jointed(integrator, ground, self.capabilities)
         self._stepper, self._control, self._ground = self.make_stepper(integrator), control, ground
         self._hook = hook
         self._share = POSITION_SHARE[integrator]

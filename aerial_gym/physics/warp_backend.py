@@ -136,7 +136,7 @@ class WarpBackend:
         if model.articulation is not None:
             if self._differentiable:
                 raise CapabilityError("backend warp: a differentiable rollout moves no joints. Use backend 'torch'.")
-            check_jointed(integrator, ground)
+            check_jointed(integrator, ground, self.capabilities)
         if isinstance(model.ceiling_height, torch.Tensor):
             raise CapabilityError("backend warp: one height of the ceiling for all. Use backend 'torch'.")
         law = control.fused()

@@ -42,6 +42,7 @@ from aerial_gym.robots.felt_scene import declare_felt_scene
 from aerial_gym.robots.hung_load import hung_load
 from aerial_gym.robots.initial_state import InitialState, StepBegin
 from aerial_gym.robots.joints.states import JointStates
+from aerial_gym.robots.joints.touching import shapes_on_links
 from aerial_gym.robots.noticed import Noticed
 from aerial_gym.robots.parameter_draws import drawing
 from aerial_gym.robots.randomized import Followed, Randomized, with_drawn_effects
@@ -93,12 +94,14 @@ class RobotManager:
         self._com = torch.zeros(self._num_envs, 3, device=gtd.device)
         self.articulation = articulation_of(robot, like=root_state)
         """How it bends; None for a rigid robot."""
-        if self.articulation is not None and (gradients is not None or around.contact is not None):
-            raise CapabilityError(
-                "a robot with joints: neither gradients through the environment nor contact that pushes back. Leave out "
-                "differentiable=True, or contact of the environment"
-            )
-        asked = {"integrator": sim.integrator, "contact": around.contact is not None}
+        if self.articulation is not None:
+            self._check_bending(gradients=gradients is not None)
+        pushed = around.contact is not None
+        asked = {
+            "integrator": sim.integrator,
+            "contact": pushed,
+            "contact_of_links": pushed and robot.joints is not None,
+        }
         if gradients is not None:
             asked |= {"gradients": True, "dtype": gradients}
         self.backend: PhysicsBackend = choose_backend(sim.backend, needs=needs_of(robot, gtd.device, **asked))
@@ -118,7 +121,9 @@ class RobotManager:
             )
         self._declare_model()
         self._randomized = self._make_randomized(randomize or {})
-        spheres = contact_points(robot.collision.on(BASE), device=gtd.device)
+        spheres, self._on_links = contact_points(robot.collision.on(BASE), device=gtd.device), None
+        if pushed and robot.joints is not None:
+            spheres, self._on_links = shapes_on_links(robot, device=gtd.device)
         self._contact_force = self._declare_contact(spheres)
         self._load = hung_load(gtd, self._effects, self.tensors.state)
         self.backend.allocate(
@@ -182,6 +187,18 @@ class RobotManager:
         obstacles = scene is not None and scene.num_instances > 0
         self.felt = declare_felt_scene(gtd, self._effects, obstacles=obstacles, gradients=gradients)
 
+    def _check_bending(self, *, gradients: bool) -> None:
+        """Raise ``CapabilityError`` for what a robot with joints cannot have, whatever the backend."""
+        around = self._around
+        if gradients:
+            raise CapabilityError(
+                "a robot with joints: no gradients through the environment. Leave out differentiable=True"
+            )
+        if around.contact is not None and around.scene is not None and around.scene.num_instances:
+            raise CapabilityError(
+                "a robot with joints: obstacles do not push back on it. Leave contact out of the environment, or its obstacles"
+            )
+
     def _make_ground(self, spheres: Tensor) -> Ground | None:
         around = self._around
         if around.ground_height is None:
@@ -192,6 +209,7 @@ class RobotManager:
             contact=around.crashes,
             cfg=around.contact,
             impulse=self._contact_force,
+            on_links=self._on_links,
         )
 
     def _make_scene_contact(self, spheres: Tensor) -> SceneContact | None:

@@ -17,6 +17,7 @@ from aerial_gym.physics.articulated.articulation import Articulation
 from aerial_gym.physics.articulated.link_damping import LinkDamping, motion_in_air
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Links, TreeState
+from aerial_gym.physics.backend import Capabilities
 from aerial_gym.physics.effects import LinkEffect, RotorEffect, WrenchEffect
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
@@ -138,14 +139,14 @@ def link_damping(model: Model, articulation: Articulation, links: Links, state: 
     return LinkDamping(velocity=velocity, damping=damping, turned_wind=turned_wind)
 
 
-def check_jointed(integrator: str, ground: Ground | None) -> None:
-    """Raise ``CapabilityError`` for what a vehicle that bends cannot have yet."""
+def check_jointed(integrator: str, ground: Ground | None, able: Capabilities) -> None:
+    """Raise ``CapabilityError`` for what a vehicle that bends cannot have on a backend."""
     if integrator != "euler":
         raise CapabilityError(
             f"joints: no integrator {integrator!r}. Efforts in joints are stiff; only 'euler' takes them at the end of a step"
         )
-    if ground is not None and ground.cfg is not None:
+    if ground is not None and ground.cfg is not None and not able.contact_of_links:
         raise CapabilityError(
-            "joints: ground and obstacles end an episode, but cannot push back on a vehicle that bends. Leave contact out of "
-            "the environment"
+            "joints: ground ends an episode here, but cannot push back on a vehicle that bends. Leave contact out of the "
+            "environment, or use backend 'mujoco'"
         )

@@ -18,11 +18,12 @@ from torch import Tensor
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.rotor import ROTOR_TRAITS
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
+from aerial_gym.physics.articulated.touching import sphere_gaps
 from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.backend import Capabilities
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.ground import Ground, crash_at, ground_contacts
-from aerial_gym.physics.integrators import MassState, Stepper, held_wrench, swing_on, to_body_state
+from aerial_gym.physics.integrators import MassState, Stepper, held_wrench, swing_on, to_body_state, to_mass_state
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.mujoco.bodies import Bodies, body_rows, load
 from aerial_gym.physics.mujoco.mjcf import Floor
@@ -31,7 +32,7 @@ from aerial_gym.physics.mujoco.rollout_trees import RolloutTrees
 from aerial_gym.physics.mujoco.warp_bodies import WarpBodies
 from aerial_gym.physics.rigid_body import angular_acceleration, com_acceleration, pull_of_load
 from aerial_gym.physics.rotor_lag import RotorCommand
-from aerial_gym.physics.state import BodyState
+from aerial_gym.physics.state import BodyState, JointedState
 from aerial_gym.physics.torch_backend import TorchBackend
 
 
@@ -51,6 +52,7 @@ class MujocoBackend(TorchBackend):
         rotors=ROTOR_TRAITS,
         contact=True,
         joints=True,
+        contact_of_links=True,
     )
 
     _engine: type[RolloutBodies] | type[WarpBodies] = RolloutBodies
@@ -77,7 +79,8 @@ class MujocoBackend(TorchBackend):
         """Return MuJoCo's, which takes the efforts of joints at the end of a step as ``implicit_euler`` does."""
         assert model.articulation is not None
         if self._trees is None or self._trees.dt != dt:
-            self._trees = RolloutTrees(model.articulation.tree, model.vehicle.num_envs, dt)
+            floor, cfg = _floor_of(self._ground)
+            self._trees = RolloutTrees(model.articulation.tree, model.vehicle.num_envs, dt, floor=floor, cfg=cfg)
         return self._trees.move
 
     @torch.no_grad()
@@ -111,6 +114,9 @@ class MujocoBackend(TorchBackend):
 
         The impulse is what Newton's equation lacks: ``m (v' - v) - dt (R f + m g)``; exactly zero where nothing touches.
         """
+        if self._model.articulation is not None:
+            assert isinstance(state, JointedState)
+            return self._bend_on_ground(ground, cfg, state, command, dt)
         before, after = self._free_substep(state, command, dt)
         mass = self._model.vehicle.mass.unsqueeze(-1)
         free = quat_rotate(before.attitude, self._force) / mass
@@ -119,6 +125,18 @@ class MujocoBackend(TorchBackend):
         impulse = torch.where(touches, mass * (after.lin_vel - before.lin_vel - dt * free), 0.0)
         crashes = crash_at(ground_contacts(ground, self._model, after), cfg, before, after)
         return before, to_body_state(self._model, after), impulse, crashes
+
+    def _bend_on_ground(
+        self, ground: Ground, cfg: ContactCfg, state: JointedState, command: Tensor, dt: float
+    ) -> tuple[MassState, BodyState, Tensor, Tensor]:
+        """Return the same of a vehicle that bends; a touch is a crash by the speed of the sphere's lowest point before it."""
+        after = self._jointed_substep(state, command, dt)
+        assert self._trees is not None
+        gap, approach = sphere_gaps(ground, self._model, state)
+        impulse = torch.where((gap < 0.0).any(dim=1, keepdim=True), self._trees.impulse.to(gap.dtype), 0.0)
+        gap, _ = sphere_gaps(ground, self._model, after)
+        crashes = ((gap < 0.0) & (approach >= cfg.least_approach)).any(dim=1)
+        return to_mass_state(self._model, state), after, impulse, crashes
 
 
 class MujocoWarpBackend(MujocoBackend):
@@ -129,7 +147,7 @@ class MujocoWarpBackend(MujocoBackend):
 
     name = "mujoco_warp"
     packages = ("mujoco-warp", "mujoco")
-    capabilities = replace(MujocoBackend.capabilities, dtypes=(torch.float32,), joints=False)
+    capabilities = replace(MujocoBackend.capabilities, dtypes=(torch.float32,), joints=False, contact_of_links=False)
     _engine = WarpBodies
 
 
@@ -138,4 +156,5 @@ def _floor_of(ground: Ground | None) -> tuple[Floor | None, ContactCfg | None]:
     if ground is None or ground.cfg is None:
         return None, None
     spheres = ground.spheres.double().tolist()
-    return Floor(height=ground.height, spheres=spheres, friction=ground.cfg.friction), ground.cfg
+    floor = Floor(height=ground.height, spheres=spheres, friction=ground.cfg.friction, on_links=ground.on_links)
+    return floor, ground.cfg

@@ -10,7 +10,10 @@ from dataclasses import dataclass
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
+from aerial_gym.assets.body_shapes import core_of
+from aerial_gym.config.collision import BoxCfg, SphereCfg
 from aerial_gym.physics.articulated.tree import Links, Tree
+from aerial_gym.physics.ground import LinkShapes
 
 _JOINT_TYPES = {"revolute": "hinge", "prismatic": "slide"}
 
@@ -33,6 +36,9 @@ class Floor:
 
     friction: float
     """Coulomb coefficient."""
+
+    on_links: LinkShapes | None = None
+    """Of a vehicle that bends: on which link each sphere is, and what of them pushes each other."""
 
 
 def write_mjcf(
@@ -79,11 +85,33 @@ def write_mjcf(
     bodies = [_add_body(world, tree, 0, links, env)]
     for k, joint in enumerate(tree.joints):
         bodies.append(_add_body(bodies[joint.parent], tree, k + 1, links, env))
-    for x, y, z, radius in () if floor is None else floor.spheres:
-        SubElement(bodies[0], "geom", type="sphere", pos=_numbers((x, y, z)), size=repr(max(radius, LEAST_RADIUS)))
+    if floor is not None:
+        _add_shapes(root, floor, bodies)
     if actuated:
         _add_actuators(root, tree, bodies)
     return ElementTree.tostring(root, encoding="unicode")
+
+
+def _add_shapes(root: Element, floor: Floor, bodies: Sequence[Element]) -> None:
+    """Let spheres touch the ground and nothing else, and the shapes of pairs each other and nothing else."""
+    on = floor.on_links
+    for place, (x, y, z, radius) in enumerate(floor.spheres):
+        body, size = bodies[0 if on is None else on.links[place]], repr(max(radius, LEAST_RADIUS))
+        SubElement(body, "geom", type="sphere", pos=_numbers((x, y, z)), size=size, contype="0")
+    if on is None:
+        return
+    for place, (link, shape) in enumerate(on.shapes):
+        center, (x, y, z, w), half, radius = core_of(shape)
+        if isinstance(shape, BoxCfg):
+            kind, size = "box", half.tolist()
+        else:
+            kind, size = ("sphere", [radius]) if isinstance(shape, SphereCfg) else ("capsule", [radius, float(half[2])])
+        attributes = {"pos": _numbers(center.tolist()), "quat": _numbers((w, x, y, z)), "size": _numbers(size)}
+        SubElement(bodies[link], "geom", attributes, name=f"shape{place}", type=kind, contype="0", conaffinity="0")
+    contact = SubElement(root, "contact")
+    for one, other in on.pairs:
+        friction = _numbers((floor.friction, floor.friction, 0.0, 0.0, 0.0))
+        SubElement(contact, "pair", geom1=f"shape{one}", geom2=f"shape{other}", condim="3", friction=friction)
 
 
 def _add_actuators(root: Element, tree: Tree, bodies: Sequence[Element]) -> None:

@@ -17,15 +17,18 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from aerial_gym.config.contact import ContactCfg
 from aerial_gym.errors import CapabilityError, ShapeError
-from aerial_gym.math.quaternion import quat_rotate_inverse
+from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.physics.articulated.joint_laws import Drive, Effort, JointLaw
 from aerial_gym.physics.articulated.link_damping import LinkDamping
+from aerial_gym.physics.articulated.motion import move_links, moving, place_links
 from aerial_gym.physics.articulated.steppers import moved_on, with_drive
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.mujoco.bodies import LARGEST, load
-from aerial_gym.physics.mujoco.mjcf import write_mjcf
+from aerial_gym.physics.mujoco.mjcf import Floor, write_mjcf
 from aerial_gym.physics.mujoco.rollouts import Rollouts
+from aerial_gym.physics.mujoco.softness import solver_numbers
 
 LEAST_MASS = 1e-9
 """Of links without mass [kg], and the moments of those without inertia [kg m²]: MuJoCo's links have some."""
@@ -34,12 +37,38 @@ LEAST_MASS = 1e-9
 class RolloutTrees:
     """A MuJoCo model for each environment, whose ``move`` is a step as ``steppers.implicit_euler`` is."""
 
-    def __init__(self, tree: Tree, num_envs: int, dt: float) -> None:
-        """Make the models for steps of ``dt`` [s]; raise ``MissingDependencyError`` if MuJoCo is not installed."""
+    impulse: Tensor
+    """Of all contacts with the ground in the last step [N s], world, (E, 3), float64."""
+
+    def __init__(
+        self, tree: Tree, num_envs: int, dt: float, *, floor: Floor | None = None, cfg: ContactCfg | None = None
+    ) -> None:
+        """Make the models.
+
+        Args:
+            tree: How links hang together.
+            num_envs: Environments E.
+            dt: Length of a step [s].
+            floor: What can be touched, of a floating tree; None for nothing.
+            cfg: How it gives way; with a floor.
+
+        Raises:
+            MissingDependencyError: If MuJoCo is not installed.
+            CapabilityError: If a tree on a stand is to touch something.
+        """
+        if floor is not None and not tree.floating:
+            raise CapabilityError(
+                "backend mujoco: no contact of a vehicle on a stand. Leave contact out of the environment"
+            )
+        self._touches = floor is not None
         self.dt, self._tree, shape = dt, tree, (1, tree.num_links)
         links = Links(mass=torch.ones(shape), com=torch.zeros(*shape, 3), inertia=torch.eye(3).expand(*shape, 3, 3))
         mujoco = load("mujoco", backend="mujoco")
-        first = mujoco.MjModel.from_xml_string(write_mjcf(tree, links, gravity=0.0, dt=dt, actuated=True))
+        first = mujoco.MjModel.from_xml_string(write_mjcf(tree, links, gravity=0.0, dt=dt, floor=floor, actuated=True))
+        if cfg is not None:
+            first.geom_solref[:], first.geom_solimp[:] = first.pair_solref[:], first.pair_solimp[:] = solver_numbers(
+                cfg, dt
+            )
         self._rollouts = Rollouts(first, num_envs, num_envs, "mjSTATE_CTRL")
         names = [f"joint{k}" for k in range(tree.num_joints)]
         self._joint_pos = [1 + int(first.joint(name).qposadr[0]) for name in names]
@@ -62,6 +91,8 @@ class RolloutTrees:
             mass = mass[changed].clamp_min(LEAST_MASS)
             self._rollouts.write_bodies(changed, self._places, mass, com[changed], inertia, gravity[changed])
             self._rollouts.settle(changed)
+            if self._touches:
+                self._rollouts.refer_contacts_to(changed, self._places, mass.sum(dim=-1))
         changed = (damping != self._damping).any(dim=-1).nonzero().squeeze(-1).tolist()
         self._damping[changed] = damping[changed]
         for k, row in zip(changed, damping[changed].numpy(), strict=True):
@@ -94,7 +125,35 @@ class RolloutTrees:
         if damping is not None:
             _check_held(links, damping, dt)
             wrench = wrench + damping.held(links)
-        return with_drive(partial(self._step, links, state, gravity, wrench), laws, drive, friction, state)
+        end = with_drive(partial(self._step, links, state, gravity, wrench), laws, drive, friction, state)
+        if self._touches:
+            self.impulse = self._of_contacts(links, state, gravity)
+        return end
+
+    def _of_contacts(self, links: Links, state: TreeState, gravity: float) -> Tensor:
+        """Return what the momentum of all links gained beyond wrench and gravity in the last step [N s], world, (E, 3)."""
+        tree, dt, rate = self._tree, self.dt, self._rollouts.twist.start
+        start, end = self._rollouts.start, self._rollouts.end
+        attitude, mass = state.attitude.double(), links.mass.double().clamp_min(LEAST_MASS).unsqueeze(-1)
+        wide = Links(**{name: values.double() for name, values in vars(links).items()})
+        places = place_links(tree, wide, start[:, self._joint_pos])
+        lin_vel, ang_vel = quat_rotate_inverse(attitude, start[:, rate : rate + 3]), start[:, rate + 3 : rate + 6]
+        motion = move_links(tree, places, lin_vel, ang_vel, start[:, self._joint_vel])
+        gained = (end - start) / dt
+        acc = torch.cat(
+            (
+                quat_rotate_inverse(attitude, gained[:, rate : rate + 3]),
+                gained[:, rate + 3 : rate + 6],
+                gained[:, self._joint_vel],
+            ),
+            dim=-1,
+        )
+        com_acc = motion.com_acc + (moving(tree, places, places.com) @ acc[:, None, :, None]).squeeze(-1)
+        push = self._rollouts.control[:, : 6 * tree.num_links].unflatten(-1, (tree.num_links, 6))[..., :3]
+        applied = (places.rotation @ push.unsqueeze(-1)).squeeze(-1).sum(1)
+        beyond = quat_rotate(attitude, (mass * com_acc).sum(1) - applied)
+        beyond[:, 2] += gravity * mass.sum(1)[:, 0]
+        return dt * beyond
 
     def _step(
         self, links: Links, state: TreeState, gravity: float, wrench: Tensor, acts: Effort, swings: TreeState
@@ -102,7 +161,10 @@ class RolloutTrees:
         """Return the state after one step under efforts of joints, taken at its end.
 
         MuJoCo steps from the rates at which turning and swinging are taken, and what they gain is added to those of the state.
+        Where something can be touched these are the rates at the start, at which MuJoCo's contacts push.
         """
+        if self._touches:
+            swings = state
         tree, dt = self._tree, self.dt
         damping = (acts.damping + dt * acts.stiffness).double()
         held = acts.value - dt * acts.stiffness * state.joint_vel + damping * swings.joint_vel

@@ -91,6 +91,11 @@ class Rollouts:
                 self.mujoco.mju_mat2Quat(model.body_iquat[place], turn.flatten())
             model.opt.gravity[:] = fall
 
+    def refer_contacts_to(self, changed: list[int], places: list[int], mass: Tensor) -> None:
+        """Let contacts of bodies in some models give way by the mass of the whole [kg], (K,), not by that of a link alone."""
+        for k, whole in zip(changed, mass.tolist(), strict=True):
+            self.models[k].body_invweight0[places, 0] = 1.0 / whole
+
     def settle(self, changed: list[int]) -> None:
         """Let MuJoCo work out what follows from the numbers that were written into some models."""
         for k in changed:

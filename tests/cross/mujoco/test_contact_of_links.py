@@ -1,0 +1,296 @@
+"""Links that touch the ground or each other, in MuJoCo as a backend: rest, overlap, momentum and energy in closed form.
+
+All in float64 but for whole simulations. K is the stiffness of a ``ContactCfg`` per mass of the whole vehicle.
+"""
+
+from dataclasses import replace
+from math import cos, sin
+from pathlib import Path
+
+import pytest
+import torch
+from scipy.optimize import brentq
+
+from aerial_gym import SimBuilder
+from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym.config.collision import BoxCfg, CapsuleCfg, CollisionShape, SphereCfg
+from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.environment import EnvironmentCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.env_manager import EnvManager
+from aerial_gym.errors import CapabilityError
+from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
+from aerial_gym.physics.articulated.joint_laws import Spring
+from aerial_gym.physics.articulated.motion import move_links, place_links
+from aerial_gym.physics.articulated.tree import Joint, Links, Tree, TreeState
+from aerial_gym.physics.ground import LinkShapes
+from aerial_gym.physics.mujoco.mjcf import Floor
+from aerial_gym.physics.mujoco.rollout_trees import RolloutTrees
+from aerial_gym.robots import ROBOTS
+from aerial_gym.robots.joints.touching import shapes_on_links
+from tests.physics.vehicles import F64
+
+pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[mujoco]'")
+
+G = 9.81
+CFG = ContactCfg(friction=0.5)
+BASE_MASS, ARM_MASS, ARM = 0.2, 0.05, 0.2
+MASS = BASE_MASS + 2.0 * ARM_MASS
+MIDDLE = (0.0, 0.0, 0.0)
+
+
+def springs(stiffness: float, damping: float, rest: tuple[float, float] = (0.0, 0.0)) -> Spring:
+    zero = torch.zeros(1, 2, dtype=F64)
+    return Spring(
+        stiffness=zero + stiffness,
+        damping=zero + damping,
+        quadratic=zero,
+        preload=zero,
+        rest=torch.tensor([rest], dtype=F64),
+    )
+
+
+def two_arms(kind: str, axes: tuple[tuple[float, float, float], tuple[float, float, float]], aside: float) -> Tree:
+    joints = (
+        Joint(parent=0, axis=axis, position=(x, 0.0, 0.0), kind=kind)
+        for axis, x in zip(axes, (aside, -aside), strict=True)
+    )
+    return Tree(joints=tuple(joints))
+
+
+def weights(arm_com: float) -> Links:
+    return Links(
+        mass=torch.tensor([[BASE_MASS, ARM_MASS, ARM_MASS]], dtype=F64),
+        com=torch.tensor([[[0.0, 0.0, 0.0], [arm_com, 0.0, 0.0], [-arm_com, 0.0, 0.0]]], dtype=F64),
+        inertia=torch.diag_embed(
+            torch.tensor([[[2e-4, 2e-4, 4e-4], [1e-5, 1e-5, 1e-5], [1e-5, 1e-5, 1e-5]]], dtype=F64)
+        ),
+    )
+
+
+def at(height: float, **others: tuple[float, float, float]) -> TreeState:
+    rows = {"lin_vel": (0.0, 0.0, 0.0), "ang_vel": (0.0, 0.0, 0.0), "attitude": (0.0, 0.0, 0.0, 1.0)} | others
+    state = {name: torch.tensor([row], dtype=F64) for name, row in rows.items()}
+    nothing = torch.zeros(1, 2, dtype=F64)
+    return TreeState(
+        position=torch.tensor([[0.0, 0.0, height]], dtype=F64), joint_pos=nothing, joint_vel=nothing, **state
+    )
+
+
+class Rig:
+    """Two arms on a base, in steps; sums up what the ground gave."""
+
+    def __init__(
+        self,
+        tree: Tree,
+        links: Links,
+        law: Spring,
+        on_links: LinkShapes,
+        spheres,
+        *,
+        dt: float,
+        gravity=G,
+        friction=0.5,
+    ) -> None:
+        floor = Floor(height=0.0, spheres=spheres, friction=friction, on_links=on_links)
+        self.bodies = RolloutTrees(tree, 1, dt, floor=floor, cfg=CFG)
+        self.tree, self.links, self.law, self.gravity = tree, links, law, gravity
+        self.impulse = torch.zeros(1, 3, dtype=F64)
+
+    def step(self, state: TreeState) -> TreeState:
+        wrench = torch.zeros(1, 3, 6, dtype=F64)
+        state = self.bodies.move(
+            self.tree, self.links, [self.law], state, self.bodies.dt, gravity=self.gravity, wrench=wrench
+        )
+        self.impulse += self.bodies.impulse
+        return state
+
+    def run(self, state: TreeState, span: float) -> TreeState:
+        for _ in range(round(span / self.bodies.dt)):
+            state = self.step(state)
+        return state
+
+    def energy_and_momentum(self, state: TreeState) -> tuple[float, torch.Tensor]:
+        """Of motion, height and springs [J], and momentum of all links [N s], world, (1, 3)."""
+        places = place_links(self.tree, self.links, state.joint_pos)
+        body_vel = quat_rotate_inverse(state.attitude, state.lin_vel)
+        motion = move_links(self.tree, places, body_vel, state.ang_vel, state.joint_vel)
+        mass = self.links.mass.unsqueeze(-1)
+        velocity = motion.lin_vel + torch.linalg.cross(motion.ang_vel, places.com - places.origin)
+        spin = (places.inertia @ motion.ang_vel.unsqueeze(-1)).squeeze(-1)
+        moving = 0.5 * (mass * velocity.square()).sum() + 0.5 * (spin * motion.ang_vel).sum()
+        center = state.position + quat_rotate(state.attitude, (mass * places.com).sum(1) / mass.sum(1))
+        bent = 0.5 * (self.law.stiffness * (state.joint_pos - self.law.rest).square()).sum()
+        energy = moving + self.gravity * mass.sum() * center[0, 2] + bent
+        return float(energy), quat_rotate(state.attitude, (mass * velocity).sum(1))
+
+
+FEET = ((ARM, 0.0, 0.0, 0.01), (-ARM, 0.0, 0.0, 0.01))
+HINGES = ((0.0, 1.0, 0.0), (0.0, -1.0, 0.0))  # positive: the arm goes down
+
+
+@pytest.mark.parametrize(("dt", "damping", "span"), [(0.002, 0.2, 1.5), (0.01, 0.02, 6.0)])
+def test_a_vehicle_on_its_arms_bends_and_sinks_as_springs_say(dt: float, damping: float, span: float) -> None:
+    """A foot each: m g = 2 K m depth; of an arm the hinge carries ``(M g L / 2 - m_a g l) cos q``, here up."""
+    stiffness = 2.0
+    tree, links = two_arms("revolute", HINGES, 0.05), weights(0.1)
+    rig = Rig(tree, links, springs(stiffness, damping), LinkShapes(links=(1, 2)), FEET, dt=dt, friction=0.0)
+    state = rig.run(at(0.03), span)
+    moment = 0.5 * MASS * G * ARM - ARM_MASS * G * 0.1
+    up = brentq(lambda q: stiffness * q - moment * cos(q), 0.0, 1.0)
+    assert state.joint_pos.tolist() == [pytest.approx([-up, -up], rel=1e-4)]
+    assert state.lin_vel.norm() < 1e-6
+    depth = 0.01 - (state.position[0, 2].item() + ARM * sin(up))
+    assert depth == pytest.approx(CFG.sinking / 2.0, rel=1e-3)
+    rig.impulse.zero_()
+    rig.run(state, 0.2)
+    assert rig.impulse.tolist() == [pytest.approx([0.0, 0.0, MASS * G * 0.2], abs=1e-6)]
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        SphereCfg(radius=0.02, center=MIDDLE),
+        BoxCfg(size=(0.04, 0.02, 0.02), center=MIDDLE),
+        CapsuleCfg(radius=0.02, height=0.06, center=MIDDLE),
+    ],
+    ids=["spheres", "boxes", "capsules"],
+)
+def test_links_that_are_pressed_together_overlap_as_two_springs_say(shape: CollisionShape) -> None:
+    """A force F of springs holds an overlap of ``2 F / (K m)``, and the whole stays where it is: nobody pushes it."""
+    stiffness, rest = 30.0, 0.05
+    tree, links = two_arms("prismatic", ((-1.0, 0.0, 0.0), (1.0, 0.0, 0.0)), 0.05), weights(0.0)
+    on = LinkShapes(links=(), shapes=((1, shape), (2, shape)), pairs=((0, 1),))
+    rig = Rig(tree, links, springs(stiffness, 1.0, (rest, rest)), on, (), dt=0.002, gravity=0.0)
+    state = rig.run(at(1.0), 0.6)
+    force = stiffness * (rest - state.joint_pos[0, 0].item())
+    overlap = 2.0 * (state.joint_pos[0, 0].item() - 0.03)  # faces of half widths 0.02 m meet after 0.03 m each
+    contacts = {BoxCfg: 4, CapsuleCfg: 2}.get(type(shape), 1)  # corners of faces, ends of edges
+    assert overlap == pytest.approx(2.0 * force / (CFG.stiffness * MASS * contacts), rel=1e-2)
+    assert overlap > 1e-4
+    assert (state.position - torch.tensor([[0.0, 0.0, 1.0]])).abs().max() < 1e-9
+    assert state.lin_vel.norm() + state.ang_vel.norm() < 1e-9
+    assert rig.impulse.abs().max() < 1e-9
+
+
+def test_shapes_that_are_no_pair_pass_through_each_other() -> None:
+    tree, links = two_arms("prismatic", ((-1.0, 0.0, 0.0), (1.0, 0.0, 0.0)), 0.05), weights(0.0)
+    on = LinkShapes(
+        links=(), shapes=((1, SphereCfg(radius=0.02, center=MIDDLE)), (2, SphereCfg(radius=0.02, center=MIDDLE)))
+    )
+    rig = Rig(tree, links, springs(30.0, 1.0, (0.05, 0.05)), on, (), dt=0.002, gravity=0.0)
+    state = rig.run(at(1.0), 1.0)
+    assert state.joint_pos.tolist() == [pytest.approx([0.05, 0.05], abs=1e-4)]
+
+
+def test_a_fall_on_an_arm_gains_no_energy_and_the_ground_gives_what_momentum_lacks() -> None:
+    """It comes down with one arm first, at 1 m/s; what semi-implicit steps of 1 ms err by is some percent of the motion."""
+    tree, links = two_arms("revolute", HINGES, 0.05), weights(0.1)
+    rig = Rig(tree, links, springs(2.0, 0.002), LinkShapes(links=(1, 2)), FEET, dt=0.001)
+    state = at(0.05, lin_vel=(0.1, 0.0, -1.0), attitude=(0.0, sin(0.05), 0.0, cos(0.05)))
+    most, momentum = rig.energy_and_momentum(state)
+    first, energy, final = most, most, momentum
+    for _ in range(800):
+        state = rig.step(state)
+        energy, final = rig.energy_and_momentum(state)
+        most = max(most, energy)
+    assert most < first + 0.02 * (0.5 * MASS)
+    assert energy < first - 0.4 * (0.5 * MASS)
+    gained = final - momentum + torch.tensor([[0.0, 0.0, 0.8 * MASS * G]], dtype=F64)
+    torch.testing.assert_close(rig.impulse, gained, rtol=0.0, atol=5e-3 * float(gained[0, 2]))
+
+
+def test_without_a_touch_it_flies_as_without_a_ground() -> None:
+    tree, links, law = two_arms("revolute", HINGES, 0.05), weights(0.1), springs(2.0, 0.02)
+    start = replace(at(50.0, ang_vel=(1.0, 2.0, 0.5)), joint_vel=torch.tensor([[3.0, -1.0]], dtype=F64))
+    rig = Rig(tree, links, law, LinkShapes(links=(1, 2)), FEET, dt=0.002)
+    free = RolloutTrees(tree, 1, 0.002)
+    ours = theirs = start
+    for _ in range(200):
+        ours = rig.step(ours)
+        theirs = free.move(tree, links, [law], theirs, 0.002, gravity=G, wrench=torch.zeros(1, 3, 6, dtype=F64))
+    for name, values in vars(theirs).items():
+        torch.testing.assert_close(getattr(ours, name), values, rtol=0.0, atol=1e-12)
+    assert rig.impulse.abs().max() < 1e-12
+    with pytest.raises(CapabilityError, match="no contact of a vehicle on a stand"):
+        RolloutTrees(replace(tree, floating=False), 1, 0.002, floor=Floor(height=0.0, spheres=FEET, friction=0.5))
+
+
+FILE = """
+extends: morphy
+collision:
+  spheres: [LEGS, {center: [0.0, 0.0, 0.0], radius: 0.03}]
+  source: test
+"""
+LEGS = ", ".join(
+    f"{{center: [{x}, {y}, -0.05], radius: 0.01, link: azimuth_{k}}}"
+    for k, (x, y) in enumerate(((0.0895, -0.0815), (-0.0895, -0.0815), (-0.0895, 0.0815), (0.0895, 0.0815)), start=1)
+)
+STANDING = replace(ENVIRONMENTS.get("landing_env"), contact=ContactCfg(friction=0.7, crash_speed=2.0))
+
+
+@pytest.fixture
+def on_legs(tmp_path: Path) -> str:
+    """A Morphy with a leg under the end of each arm."""
+    (tmp_path / "on_legs.yaml").write_text(FILE.replace("LEGS", LEGS))
+    return str(tmp_path / "on_legs.yaml")
+
+
+def build(robot: str | RobotCfg, env: EnvironmentCfg = STANDING, backend: str = "mujoco") -> EnvManager:
+    return SimBuilder().build_env(
+        sim_name="base_sim", env_name=env, robot_name=robot, controller_name="no_control", num_envs=2, device="cpu",
+        backend=backend,
+    )  # fmt: skip
+
+
+def put_down(robot: str, height: float, span: float) -> tuple[EnvManager, torch.Tensor]:
+    """Return robots with still rotors that fell from a height, and which crashed, (E,)."""
+    sim, crashed = build(robot), torch.zeros(2, dtype=torch.bool)
+    for key in ("robot_linvel", "robot_body_angvel", "rotor_speed", "dof_position", "dof_velocity"):
+        sim.gtd[key].zero_()
+    sim.gtd["robot_orientation"][:] = torch.tensor([0.0, 0.0, 0.0, 1.0])
+    sim.gtd["robot_position"][:, 2] = height
+    for _ in range(round(span / sim.dt)):
+        sim.step(torch.zeros_like(sim.gtd["robot_actions"]))
+        crashed |= sim.gtd["crashes"]
+    return sim, crashed
+
+
+def test_a_robot_stands_on_legs_under_its_arms(on_legs: str) -> None:
+    """All four carry its weight; the ends of its joints bear what the springs do not; 0.29 kg."""
+    sim, crashed = put_down(on_legs, 0.08, 0.5)
+    weight = torch.tensor([[0.0, 0.0, 0.29 * G]]).repeat(2, 1)
+    torch.testing.assert_close(sim.gtd["robot_contact_force"], weight, rtol=0.0, atol=0.02 * 0.29 * G)
+    assert (sim.gtd["dof_position"][:, ::2] < -0.1).all()  # arms bend up
+    assert (sim.gtd["robot_position"][:, 2] > 0.03).all()
+    assert not crashed.any()
+
+
+def test_a_fast_touch_of_a_leg_is_a_crash(on_legs: str) -> None:
+    """From 0.8 m, at 4 m/s."""
+    assert put_down(on_legs, 0.8, 0.45)[1].all()
+
+
+def test_what_cannot_be_pushed_is_refused_by_name(on_legs: str) -> None:
+    with pytest.raises(CapabilityError, match="push back at a contact of a vehicle with joints. Use backend 'mujoco'"):
+        build(on_legs, backend="warp")
+    with pytest.raises(CapabilityError, match="obstacles do not push back"):
+        build(on_legs, replace(ENVIRONMENTS.get("env_with_obstacles"), contact=CFG))
+
+
+def test_a_snake_whose_rods_push_each_other_flies() -> None:
+    """Rods that no joint connects are pairs, in the axes of their links; folded far enough they push, and it stays whole."""
+    robot = ROBOTS.get("snakey_position")
+    robot = replace(robot, collision=replace(robot.collision, between_links=True))
+    spheres, on = shapes_on_links(robot, device=torch.device("cpu"))
+    assert len(spheres) == len(on.links) == 2 * len(on.shapes)  # ends of capsules
+    assert all(abs(on.shapes[one][0] - on.shapes[other][0]) > 1 for one, other in on.pairs)
+    assert on.pairs
+    for link, shape in on.shapes:
+        assert max(abs(c) for c in shape.center) <= 1.0, link  # a rod begins at its joint
+    sim = build(robot)
+    sim.reset()
+    sim.gtd["robot_position"][:, 2] = 2.0
+    for _ in range(5):
+        sim.step(torch.zeros_like(sim.gtd["robot_actions"]))
+    assert sim.gtd["dof_position"].isfinite().all()
