@@ -20,7 +20,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
-from aerial_gym.physics.articulated.joint_laws import Spring
+from aerial_gym.physics.articulated.joint_laws import Drive, Spring
 from aerial_gym.physics.articulated.motion import move_links, place_links
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree, TreeState
 from aerial_gym.physics.ground import LinkShapes
@@ -97,10 +97,20 @@ class Rig:
         self.tree, self.links, self.law, self.gravity = tree, links, law, gravity
         self.impulse = torch.zeros(1, 3, dtype=F64)
 
-    def step(self, state: TreeState) -> TreeState:
-        wrench = torch.zeros(1, 3, 6, dtype=F64)
+    def step(self, state: TreeState, *, driven: bool = False) -> TreeState:
+        """Take a step; ``driven`` with a drive of the spring's numbers in its place."""
+        own = {"stiffness": self.law.stiffness, "damping": self.law.damping, "position": self.law.rest}
+        nothing = {name: torch.zeros_like(self.law.rest) for name in ("rate", "effort")}
+        drive = Drive(**own, **nothing, limit=torch.full_like(self.law.rest, 1e3)) if driven else None
         state = self.bodies.move(
-            self.tree, self.links, [self.law], state, self.bodies.dt, gravity=self.gravity, wrench=wrench
+            self.tree,
+            self.links,
+            [] if driven else [self.law],
+            state,
+            self.bodies.dt,
+            gravity=self.gravity,
+            wrench=torch.zeros(1, 3, 6, dtype=F64),
+            drive=drive,
         )
         self.impulse += self.bodies.impulse
         return state
@@ -198,6 +208,18 @@ def test_a_fall_on_an_arm_gains_no_energy_and_the_ground_gives_what_momentum_lac
     assert energy < first - 0.4 * (0.5 * MASS)
     gained = final - momentum + torch.tensor([[0.0, 0.0, 0.8 * MASS * G]], dtype=F64)
     torch.testing.assert_close(rig.impulse, gained, rtol=0.0, atol=5e-3 * float(gained[0, 2]))
+
+
+def test_contacts_push_a_drive_as_they_push_a_spring_of_its_numbers() -> None:
+    """The same step but for rounding: what touches is pushed at the rates of its start."""
+    tree, links = two_arms("revolute", HINGES, 0.05), weights(0.1)
+    rig = Rig(tree, links, springs(2.0, 0.02), LinkShapes(links=(1, 2)), FEET, dt=0.002)
+    ours = theirs = at(0.02, lin_vel=(0.1, 0.0, -1.0), ang_vel=(0.0, 3.0, 1.0))
+    for _ in range(50):
+        ours, theirs = rig.step(ours), rig.step(theirs, driven=True)
+    assert rig.impulse[0, 2] > 0.1
+    for name, values in vars(ours).items():
+        torch.testing.assert_close(getattr(theirs, name), values, rtol=0.0, atol=1e-9)
 
 
 def test_without_a_touch_it_flies_as_without_a_ground() -> None:
