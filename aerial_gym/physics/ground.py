@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from aerial_gym.config.collision import CollisionShape
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.math.quaternion import quat_rotate
 from aerial_gym.physics.contact import Contacts, push
@@ -18,14 +17,34 @@ from aerial_gym.physics.state import BodyState
 
 
 @dataclass(frozen=True, kw_only=True)
+class LinkShape:
+    """A sphere, a capsule along z or a box of a link, in its axes: what is within ``radius`` of a core of half edges ``half``."""
+
+    link: int
+    """The base is 0."""
+
+    center: tuple[float, float, float]
+    """From the origin of the link [m]."""
+
+    attitude: tuple[float, float, float, float]
+    """Of the core, xyzw."""
+
+    half: tuple[float, float, float]
+    """Half edges of the core [m]: all zero of a sphere, x and y of a capsule."""
+
+    radius: float
+    """[m]; 0 of a box."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class LinkShapes:
     """What of a vehicle that bends touches what."""
 
     links: tuple[int, ...]
     """Link of each sphere that can touch the ground, the base being 0, (C,)."""
 
-    shapes: tuple[tuple[int, CollisionShape], ...] = ()
-    """Shapes that can touch each other, with their links; in the axes of these, from their origins."""
+    shapes: tuple[LinkShape, ...] = ()
+    """Shapes that can touch each other."""
 
     pairs: tuple[tuple[int, int], ...] = ()
     """Places in ``shapes`` of those that push each other."""

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-from aerial_gym.assets.body_shapes import core_of
-from aerial_gym.config.collision import BoxCfg, SphereCfg
 from aerial_gym.physics.articulated.tree import Links, Tree
 from aerial_gym.physics.ground import LinkShapes
 
@@ -100,14 +98,15 @@ def _add_shapes(root: Element, floor: Floor, bodies: Sequence[Element]) -> None:
         SubElement(body, "geom", type="sphere", pos=_numbers((x, y, z)), size=size, contype="0")
     if on is None:
         return
-    for place, (link, shape) in enumerate(on.shapes):
-        center, (x, y, z, w), half, radius = core_of(shape)
-        if isinstance(shape, BoxCfg):
-            kind, size = "box", half.tolist()
-        else:
-            kind, size = ("sphere", [radius]) if isinstance(shape, SphereCfg) else ("capsule", [radius, float(half[2])])
-        attributes = {"pos": _numbers(center.tolist()), "quat": _numbers((w, x, y, z)), "size": _numbers(size)}
-        SubElement(bodies[link], "geom", attributes, name=f"shape{place}", type=kind, contype="0", conaffinity="0")
+    for place, shape in enumerate(on.shapes):
+        (x, y, z, w), (_, _, along) = shape.attitude, shape.half
+        kind, size = ("capsule", (shape.radius, along)) if along else ("sphere", (shape.radius,))
+        if not shape.radius:
+            kind, size = "box", shape.half
+        attributes = {"pos": _numbers(shape.center), "quat": _numbers((w, x, y, z)), "size": _numbers(size)}
+        SubElement(
+            bodies[shape.link], "geom", attributes, name=f"shape{place}", type=kind, contype="0", conaffinity="0"
+        )
     contact = SubElement(root, "contact")
     for one, other in on.pairs:
         friction = _numbers((floor.friction, floor.friction, 0.0, 0.0, 0.0))
