@@ -18,7 +18,7 @@ from aerial_gym.physics.state import BodyState
 
 @dataclass(frozen=True, kw_only=True)
 class LinkShape:
-    """A sphere, a capsule along z or a box of a link, in its axes: what is within ``radius`` of a core of half edges ``half``."""
+    """A sphere, a capsule along z or a box of a link, in its axes: what is within a radius of a core."""
 
     link: int
     """The base is 0."""
