@@ -28,6 +28,7 @@ from aerial_gym.physics import BodyState
 from aerial_gym.physics.memory import make_memory
 from aerial_gym.robots import ROBOTS
 from tests.physics.swing import fly_remembering
+from tests.physics.vehicles import lopsided_robot
 
 GRAVITY, ROBOT = 9.81, ROBOTS.get("base_quadrotor_braked_in_spin")
 MODEL = declared_model(ROBOT, GRAVITY)
@@ -150,16 +151,18 @@ def test_a_mirrored_vehicle_hovers_mirrored() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "share", "message"),
+    ("robot", "share", "message"),
     [
-        ("base_quadrotor", 0.1, "brakes it"),
-        ("base_quadrotor_braked_in_spin", 0.5, "smaller share"),
-        ("base_octarotor", 0.1, "quadrotors"),
+        (ROBOTS.get("base_quadrotor"), 0.1, "brakes it"),
+        (ROBOT, 0.5, "smaller share"),
+        (ROBOTS.get("typhoon_hexarotor"), 0.1, "is for quadrotors"),
+        (ROBOTS.get("morphy_stiff"), 0.1, "of plain rotors"),
+        (lopsided_robot(), 0.1, "along body z"),
     ],
 )
-def test_vehicles_that_cannot_are_refused(name: str, share: float, message: str) -> None:
+def test_vehicles_that_cannot_are_refused(robot: RobotCfg, share: float, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        relaxed_hover(declared_model(ROBOTS.get(name), GRAVITY), 0, share)
+        relaxed_hover(declared_model(robot, GRAVITY), 0, share)
 
 
 def test_rotors_that_turn_otherwise_are_refused() -> None:
