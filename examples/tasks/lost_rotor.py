@@ -1,8 +1,8 @@
-"""Hover with a rotor that fails, told or not told of it: ``python examples/tasks/lost_rotor.py [STARTS [LATE_S]]``.
+"""Hover with a rotor that fails, told or not told of it: ``python examples/tasks/lost_rotor.py [STARTS [LATE_S [SHARE]]]``.
 
-Flies ``motor_failure_task`` by ``LeePilot``, which believes in its rotors, and by one that is told which has failed: it stops
-that rotor, whatever is left of it, and spins. Prints, by what is left of the speed, the share of flights that are lost [%] and
-the distance of the others in the last second [m]. LATE_S is how long after the failure it is told.
+Flies ``motor_failure_task`` by ``LeePilot``, which believes in its rotors, and by one that is told, LATE_S after it, which has
+failed: it stops that rotor, gives the opposite one SHARE of the others, and spins. Prints, by what is left of the speed, the
+share of flights that are lost [%] and the distance of the others in the last second [m].
 """
 
 import sys
@@ -23,8 +23,7 @@ from aerial_gym.task import Task
 class InformedPilot(LeePilot):
     """Flies ``base_quadrotor_braked_in_spin`` without the rotor that has failed."""
 
-    largest, late = 2.0, 0.0  # of a thrust [N]; [s]
-    share = 0.1  # of the opposite rotor: of 512 starts 0.02 loses half, 0.05 to 0.2 none; with more it circles wider
+    largest, late, share = 2.0, 0.0, 0.1  # of a thrust [N]; [s]; with a larger share it circles wider
 
     def __init__(self, task: Task) -> None:
         """Take the task."""
@@ -47,16 +46,15 @@ def main(starts: int) -> None:
     cfg, drawn = task_registry.get("motor_failure_task"), "effects.motor_failure.scale"
     for low, high in ((0.0, 0.9), (0.6, 0.9), (0.0, 0.0)):
         part = replace(cfg, randomize={**cfg.randomize, drawn: replace(cfg.randomize[drawn], low=low, high=high)})
-        task_registry.register(f"motor_failure_{low}_{high}_task", part)
+        task_registry.register(f"failure_{low}_{high}", part)
         for pilot, name in ((LeePilot, "not told"), (InformedPilot, "told")):
-            with task_registry.make_task(
-                f"motor_failure_{low}_{high}_task", num_envs=starts, device="cpu", seed=1
-            ) as task:
+            with task_registry.make_task(f"failure_{low}_{high}", num_envs=starts, device="cpu", seed=1) as task:
                 found = evaluate(pilot(task), task)
             error = "nowhere" if found.final_error_mean_m is None else f"{found.final_error_mean_m:.3f} m beside it"
             print(f"{low} to {high} of the speed, {name}: {found.crash_rate:.1%} lost, the others end {error}")
 
 
 if __name__ == "__main__":
-    InformedPilot.late = float(sys.argv[2]) if len(sys.argv) > 2 else 0.0
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 256)
+    given = [float(word) for word in sys.argv[1:]]
+    starts, InformedPilot.late, InformedPilot.share = (*given, *(256.0, 0.0, 0.1)[len(given) :])
+    main(int(starts))
