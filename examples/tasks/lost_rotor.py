@@ -17,7 +17,6 @@ from aerial_gym import task_registry
 from aerial_gym.control.lost_rotor import lost_rotor_law
 from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.rl_training import evaluate
-from aerial_gym.task import Task
 
 
 class InformedPilot(LeePilot):
@@ -25,11 +24,11 @@ class InformedPilot(LeePilot):
 
     largest, late, share = 2.0, 0.0, 0.1  # of a thrust [N]; [s]; with a larger share it circles wider
 
-    def __init__(self, task: Task) -> None:
-        """Take the task."""
-        super().__init__(task)
-        self.robot = task.env.robot_manager
-        self.spinning = lost_rotor_law(self.robot.cfg, task.env.sim_cfg.gravity, share=self.share)
+    def __init__(self, *task) -> None:
+        """Take what ``LeePilot`` does."""
+        super().__init__(*task)
+        self.robot = self.task.env.robot_manager
+        self.spinning = lost_rotor_law(self.robot.cfg, self.task.env.sim_cfg.gravity, share=self.share)
 
     def __call__(self, observation: Mapping[str, Tensor]) -> Tensor:
         """Return actions (E, 4)."""
@@ -37,16 +36,16 @@ class InformedPilot(LeePilot):
         motor, _, moment = gtd["effect_motor_failure"].unbind(-1)
         failed = (gtd["sim_steps"] * self.dt >= moment + self.late).unsqueeze(-1)
         speed = self.spinning.rotor_command(self.state, self.task.target_position, motor.long() - 1)
-        thrust = rotor_thrust(self.robot.declared, speed)
-        return torch.where(failed, (2.0 * thrust / self.largest - 1.0).clamp_max(1.0), super().__call__(observation))
+        told = (2.0 * rotor_thrust(self.robot.declared, speed) / self.largest - 1.0).clamp_max(1.0)
+        return torch.where(failed, told, super().__call__(observation))
 
 
 def main(starts: int) -> None:
     """Fly with more and with less of the rotor left, print a line for each flight."""
     cfg, drawn = task_registry.get("motor_failure_task"), "effects.motor_failure.scale"
     for low, high in ((0.0, 0.9), (0.6, 0.9), (0.0, 0.0)):
-        part = replace(cfg, randomize={**cfg.randomize, drawn: replace(cfg.randomize[drawn], low=low, high=high)})
-        task_registry.register(f"failure_{low}_{high}", part)
+        left = {**cfg.randomize, drawn: replace(cfg.randomize[drawn], low=low, high=high)}
+        task_registry.register(f"failure_{low}_{high}", replace(cfg, randomize=left))
         for pilot, name in ((LeePilot, "not told"), (InformedPilot, "told")):
             with task_registry.make_task(f"failure_{low}_{high}", num_envs=starts, device="cpu", seed=1) as task:
                 found = evaluate(pilot(task), task)
@@ -55,6 +54,6 @@ def main(starts: int) -> None:
 
 
 if __name__ == "__main__":
-    given = [float(word) for word in sys.argv[1:]]
-    starts, InformedPilot.late, InformedPilot.share = (*given, *(256.0, 0.0, 0.1)[len(given) :])
+    starts, late, share = (*sys.argv[1:], *("256", "0.0", "0.1")[len(sys.argv) - 1 :])
+    InformedPilot.late, InformedPilot.share = float(late), float(share)
     main(int(starts))
