@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from aerial_gym.config.checks import require_positive
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control.relaxed_hover import (
     PLACE,
@@ -24,7 +25,6 @@ from aerial_gym.control.relaxed_hover import (
     motion_from_body,
     relaxed_hover,
 )
-from aerial_gym.errors import ConfigError
 from aerial_gym.physics.model import Model, build_model, robot_effects
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import vehicle_from_config
@@ -32,10 +32,7 @@ from aerial_gym.physics.vehicle import vehicle_from_config
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerances:
-    """Deviations that weigh alike (Bryson's rule: weights are their inverse squares).
-
-    With any of them four times as large or as small no flight of ``motor_failure_task`` is lost (128 starts each, share 0.1).
-    """
+    """Deviations that weigh alike (Bryson's rule: weights are their inverse squares). Chosen, not derived from a vehicle."""
 
     place: float = 0.5
     """Distance [m], > 0."""
@@ -54,9 +51,7 @@ class Tolerances:
 
     def __post_init__(self) -> None:
         """Refuse what has no inverse square."""
-        for name, value in vars(self).items():
-            if not 0.0 < value < float("inf"):
-                raise ConfigError(f"Tolerances.{name} = {value!r}: must be > 0 and finite")
+        require_positive(self, *vars(self))
 
 
 def hover_gain(model: Model, motion: Tensor, lost: int, tolerances: Tolerances | None = None) -> Tensor:

@@ -118,4 +118,9 @@ def crash_at(contacts: Contacts, cfg: ContactCfg, before: MassState, after: Mass
     lever = contacts.lever
     turn = quat_rotate(after.attitude, before.ang_vel).unsqueeze(1).expand_as(lever)
     approach = -(before.lin_vel.unsqueeze(1) + torch.linalg.cross(turn, lever))[..., 2]
-    return ((contacts.gap < 0.0) & (approach >= cfg.least_approach)).any(dim=1)
+    return is_crash(contacts.gap, approach, cfg)
+
+
+def is_crash(gap: Tensor, approach: Tensor, cfg: ContactCfg) -> Tensor:
+    """Return whether any gap (E, C) [m] is a touch that came fast enough [m/s], (E, C), to be a crash, bool (E,)."""
+    return ((gap < 0.0) & (approach >= cfg.least_approach)).any(dim=1)

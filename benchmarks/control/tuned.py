@@ -11,6 +11,7 @@ Letters: E environments, N samples.
 
 import argparse
 import json
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import ceil, pi
@@ -24,6 +25,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, LeeController, make_controller
 from aerial_gym.control.tuner import Tuning, tune_attitude, tune_position
 from aerial_gym.env_manager.sim_builder import robot_by_name
+from aerial_gym.errors import AerialGymError
 from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler
 from aerial_gym.physics import (
     EFFECTS,
@@ -284,4 +286,8 @@ def _told(robot: str, flown: Flown, asked: Asked, num_envs: int, *, as_json: boo
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except AerialGymError as error:
+        print(f"tuned: {error}", file=sys.stderr)
+        sys.exit(2)

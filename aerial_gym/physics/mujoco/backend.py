@@ -22,7 +22,7 @@ from aerial_gym.physics.articulated.touching import sphere_gaps
 from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.backend import Capabilities
 from aerial_gym.physics.effects import LoadEffect
-from aerial_gym.physics.ground import Ground, crash_at, ground_contacts
+from aerial_gym.physics.ground import Ground, crash_at, ground_contacts, is_crash
 from aerial_gym.physics.integrators import MassState, Stepper, held_wrench, swing_on, to_body_state, to_mass_state
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.mujoco.bodies import Bodies, body_rows, load
@@ -135,8 +135,7 @@ class MujocoBackend(TorchBackend):
         gap, approach = sphere_gaps(ground, self._model, state)
         impulse = torch.where((gap < 0.0).any(dim=1, keepdim=True), self._trees.impulse.to(gap.dtype), 0.0)
         gap, _ = sphere_gaps(ground, self._model, after)
-        crashes = ((gap < 0.0) & (approach >= cfg.least_approach)).any(dim=1)
-        return to_mass_state(self._model, state), after, impulse, crashes
+        return to_mass_state(self._model, state), after, impulse, is_crash(gap, approach, cfg)
 
 
 class MujocoWarpBackend(MujocoBackend):

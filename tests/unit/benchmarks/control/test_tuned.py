@@ -1,6 +1,8 @@
 """Tuned vehicles fly with what was asked, and what is measured of a flight is what a signal has."""
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from math import pi
 from pathlib import Path
@@ -63,3 +65,19 @@ def test_what_was_identified_of_flights_is_tuned_and_flies_as_asked(tmp_path: Pa
     for flown in measure(replace(made, vehicle=plant.vehicle, delay=plant.delay), asked):
         np.testing.assert_allclose(flown.bandwidth, flown.asked, rtol=0.01)
         np.testing.assert_allclose(flown.damping, 0.7, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        (["benchmarks.control.tuned", "nosuch"], "no robot 'nosuch'"),
+        (["benchmarks.story", "--out", "OUT", "--settings", "nosuch.yaml"], "nosuch.yaml: no such file"),
+    ],
+)
+def test_bad_input_is_refused_in_a_sentence(command: list[str], said: str, tmp_path: Path) -> None:
+    words = [str(tmp_path) if word == "OUT" else word for word in command]
+    root = Path(__file__).parents[4]
+    ended = subprocess.run([sys.executable, "-m", *words], capture_output=True, text=True, cwd=root, check=False)
+    assert ended.returncode == 2
+    assert said in ended.stderr
+    assert "Traceback" not in ended.stderr
