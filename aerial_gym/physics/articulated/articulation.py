@@ -94,6 +94,11 @@ class Articulation:
         return len(self.driven)
 
     @property
+    def looks_ahead(self) -> bool:
+        """Whether a step is tried before it is taken: drives may come to their limits in it, or dry friction may hold."""
+        return bool(self.driven) or self.rubs
+
+    @property
     def action_names(self) -> tuple[str, ...]:
         """What the entries of a joint command are called."""
         return tuple(f"{self.names[k]} {mode}" for k, mode in zip(self.driven, self.modes, strict=True))

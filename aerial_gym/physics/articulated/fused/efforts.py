@@ -11,20 +11,20 @@ from aerial_gym.physics.fused.types import vector_of
 
 
 @cache
-def air_of(num_damped: int) -> Any:
-    """Return the type of twelve numbers of each link that the air damps."""
-    return wp.types.matrix(shape=(max(num_damped, 1), 12), dtype=wp.float32)
-
-
 @cache
-def held_of(num_joints: int, num_damped: int) -> Any:
+def held_of(num_joints: int, params_type: Any) -> Any:
     """Return the ``wp.struct`` of what is held through a step: sides on which drives are at their limits, those to which dry
-    friction pushes joints that move, what springs behind dashpots would give at zero, ``sum k_i z_i`` [N m], and where the air
-    damps links what ``link_damping.make_link_damping`` gives."""
+    friction pushes joints that move, and what springs behind dashpots would give at zero, ``sum k_i z_i`` [N m]. Where the air
+    damps links also parameters of effects, wind [m/s] and the acceleration that weight takes [m/s²], axes of the base.
+
+    Args:
+        num_joints: D.
+        params_type: Of the parameters; None where the air damps nothing.
+    """
     vector = vector_of(num_joints)
     fields = {"at_limit": vector, "slips": vector, "crept": vector}
-    if num_damped > 0:
-        fields["air"] = air_of(num_damped)
+    if params_type is not None:
+        fields |= {"params": params_type, "wind": wp.vec3, "weight": wp.vec3}
     return wp.struct(type("Held", (), {"__annotations__": fields, "__module__": __name__}))
 
 

@@ -12,16 +12,9 @@ import warp as wp
 
 from aerial_gym.physics.articulated.articulation import Articulation
 from aerial_gym.physics.articulated.fused.efforts import make_beyond, make_creep, make_slips
+from aerial_gym.physics.articulated.fused.inertia import Inertia, com_of, inertia_of, plus
 from aerial_gym.physics.articulated.fused.link_damping import damped_links, make_link_damping
-from aerial_gym.physics.articulated.fused.recursion import (
-    Inertia,
-    com_of,
-    inertia_of,
-    joint_types,
-    make_recursion,
-    plus,
-    slowed,
-)
+from aerial_gym.physics.articulated.fused.recursion import joint_types, make_recursion
 from aerial_gym.physics.effects import DelayEffect, WrenchEffect
 from aerial_gym.physics.fused.command import make_command
 from aerial_gym.physics.fused.contact import ContactParameters
@@ -100,10 +93,9 @@ def make_jointed_kernel(
     articulation = model.articulation
     assert articulation is not None
     num_rotors, (num_params, num_memory) = model.vehicle.num_rotors, num_values(model)
-    links = damped_links(model)
-    damped, damped_base = bool(links), 0 in links
+    damped = bool(damped_links(model))
     general, types = not model.vehicle.plain, types_of(model)
-    joints = joint_types(articulation.num_joints, links)
+    joints = joint_types(articulation.num_joints, values_type(model) if damped else None)
     vector, params_type, joint_vector = types.vector, values_type(model), joints.vector
     action_type = vector_of(law.num_actions + articulation.num_driven)
     drive_type = vector_of(max(articulation.num_driven, 1))
@@ -119,13 +111,14 @@ def make_jointed_kernel(
     late = bool(model.effects[DelayEffect])
     follow_rotors = make_follow(num_rotors, general, late)
     loads, any_wrench = make_loads(model, upright=model.vehicle.upright), bool(model.effects[WrenchEffect])
-    way_in, way_back = make_recursion(articulation, types, joints)
+    air = make_link_damping(model, joints)
+    way_in, way_back = make_recursion(articulation, types, joints, air)
+    base_in_air, wind = air.get(0), make_wind(model) if damped else None
     base, floating = _make_base(articulation, vehicle_type), articulation.tree.floating
     beyond, driven = make_beyond(articulation), bool(articulation.driven)
-    slips, rubs = make_slips(articulation.num_joints), articulation.rubs
+    slips, rubs, ahead = make_slips(articulation.num_joints), articulation.rubs, articulation.looks_ahead
     (pull, creep_on), num_creep = make_creep(articulation), articulation.num_creep
     num_joints, held_type = articulation.num_joints, joints.held
-    damping, wind = (make_link_damping(model, types, joints, base), make_wind(model)) if damped else (None, None)
     dashpot_type = vector_of(max(num_creep * num_joints, 1))
     read_vehicle = make_vehicle_reader(types, packing.vehicle, packing.entries)
     read_command = make_command_reader(types, packing.command, packing.command_entries)
@@ -144,12 +137,12 @@ def make_jointed_kernel(
     @wp.func
     def find(
         vehicle: vehicle_type, more: wp.spatial_vector, held: wp.vec3, pos: joint_vector, vel: joint_vector,
-        swing_vel: joint_vector, drives: drive_type, given: held_type, thrusts: vector, drags: vector, w: wp.vec3,
-        move: wp.vec3, dt: float,
+        swing_vel: joint_vector, drives: drive_type, given: held_type, thrusts: vector, drags: vector, w_0: wp.vec3,
+        w: wp.vec3, move: wp.vec3, dt: float,
     ):  # fmt: skip
         """Return rates of joints at the end of the step, angular acceleration and acceleration of the base, which weight is not
         taken off, with what turning at ``w`` and swinging at ``swing_vel`` take."""
-        carried, kept = way_in(vehicle, pos, vel, swing_vel, drives, given, thrusts, drags, w, move, dt)
+        carried, kept = way_in(vehicle, pos, vel, swing_vel, drives, given, thrusts, drags, w_0, w, move, dt)
         turn = wp.vec3()
         rise = held
         if wp.static(floating):
@@ -158,8 +151,8 @@ def make_jointed_kernel(
                 push = wp.spatial_top(more)
                 own.force -= push
                 own.torque -= wp.spatial_bottom(more) + wp.cross(vehicle.com, push)
-            if wp.static(damped_base):
-                own = slowed(own, wp.identity(n=3, dtype=float), com_of(own), given.air, 0, dt)  # its row is the first
+            if wp.static(base_in_air is not None):
+                own = base_in_air(own, wp.identity(n=3, dtype=float), com_of(own), w_0, move, given, dt)
             turn, rise = solve(plus(carried, own))
         return vel + dt * way_back(kept, turn, rise), turn, rise
 
@@ -176,27 +169,31 @@ def make_jointed_kernel(
         held = rotate_inverse(q, wp.vec3(0.0, 0.0, gravity))
         given = held_type()
         if wp.static(damped):
-            given.air = damping(vehicle, params, pos, vel, w, move, rotate_inverse(q, wind(x + com, params)), held, dt)
+            given.params = params
+            given.wind = rotate_inverse(q, wind(x + com, params))
+            given.weight = held
         if wp.static(num_creep > 0):
             given.crept = pull(crept)
         if wp.static(driven):
             if wp.static(rubs):
                 given.slips = slips(vel)
-            first, turn, rise = find(vehicle, more, held, pos, vel, vel, drives, given, thrusts, drags, w, move, dt)
+            first, turn, rise = find(vehicle, more, held, pos, vel, vel, drives, given, thrusts, drags, w, w, move, dt)
             given.at_limit = beyond(pos + dt * first, first, drives)
         if wp.static(rubs):
             given.slips = joint_vector()
-            first, turn, rise = find(vehicle, more, held, pos, vel, vel, drives, given, thrusts, drags, w, move, dt)
+            first, turn, rise = find(vehicle, more, held, pos, vel, vel, drives, given, thrusts, drags, w, w, move, dt)
             given.slips = slips(first)
         half_w = w
         half_vel = vel
-        if wp.static(driven or rubs):
+        if wp.static(ahead):
             if wp.length_sq(given.at_limit) + wp.length_sq(given.slips) > 0.0:  # else it is the step before
-                first, turn, rise = find(vehicle, more, held, pos, vel, vel, drives, given, thrusts, drags, w, move, dt)
+                first, turn, rise = find(
+                    vehicle, more, held, pos, vel, vel, drives, given, thrusts, drags, w, w, move, dt
+                )
             half_w = w + 0.5 * dt * turn
             half_vel = 0.5 * (vel + first)
         rates, turn, rise = find(
-            vehicle, more, held, pos, vel, half_vel, drives, given, thrusts, drags, half_w, move, dt
+            vehicle, more, held, pos, vel, half_vel, drives, given, thrusts, drags, w, half_w, move, dt
         )
         lin_vel = v
         ang_vel = w

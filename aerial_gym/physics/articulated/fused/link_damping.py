@@ -1,16 +1,14 @@
-"""What the air does to links at the start of a step, for one environment: ``articulated.link_damping`` in Warp.
+"""What the air does to a link in a step, for one environment: ``articulated.link_damping`` in Warp.
 
-Links are walked once from the base outwards; those that nothing damps, and that carry none that is damped, cost nothing.
-Letters: L links.
+The recursion calls it where it comes by the link, with the motion of the link at the start of the step.
 """
 
 import warp as wp
 
-from aerial_gym.physics.articulated.articulation import Articulation
-from aerial_gym.physics.articulated.fused.recursion import JointTypes, com_of, shape_of
+from aerial_gym.physics.articulated.fused.inertia import Inertia
+from aerial_gym.physics.articulated.fused.recursion import JointTypes
 from aerial_gym.physics.effects import LinkEffect
-from aerial_gym.physics.fused.packing import pickers, values_type
-from aerial_gym.physics.fused.types import RotorTypes
+from aerial_gym.physics.fused.packing import pickers
 from aerial_gym.physics.model import Model
 
 
@@ -27,136 +25,47 @@ def damped_links(model: Model) -> tuple[int, ...]:
     )
 
 
-def make_link_damping(model: Model, types: RotorTypes, joints: JointTypes, base: wp.Function) -> wp.Function:
-    """Return a function to what damps each link: (vehicle, values of all effects, position of joints, their rate, angular
-    velocity and velocity of the base, wind, acceleration that weight takes, dt) -> ``Held.air``.
+def make_link_damping(model: Model, joints: JointTypes) -> dict[int, wp.Function]:
+    """Return what the air does to each link that it damps: (inertia of the link, its axes to those of the base, its centre of
+    mass from its origin, angular velocity and velocity of its origin at the start of the step, what is held through the step,
+    dt) -> ``Inertia``. Vectors are in axes of the base.
 
-    Vectors are in axes of the base. A row is of a damped link, in its axes: force [N] at the centre of mass and torque [N m]
-    where the link accelerates as its weight is held, and D along and about each axis.
+    Beside the mass stands ``dt D``. The end of a step has ``-D (u + u' dt)`` with ``u' = R^T (a - weight + w x wind)``, where
+    ``a`` is the spatial acceleration of the centre of mass that the recursion finds, weight in it: what is not of ``a`` is a
+    force.
 
     Args:
         model: With the effect on its links.
-        types: For its rotors.
         joints: For its joints.
-        base: As the kernel has it, (vehicle, angular velocity, velocity) -> ``Inertia``.
     """
-    articulation = model.articulation
-    assert articulation is not None
-    air_type, vector, vehicle_type, params_type = joints.air, joints.vector, types.vehicle, values_type(model)
-    walk = _beyond(model, articulation, joints, 0)
-    base_row, any_base = _make_row(model, joints, 0), 0 in joints.damped
+    return {link: _make_damping(model, joints, link) for link in damped_links(model)}
+
+
+def _make_damping(model: Model, joints: JointTypes, link: int) -> wp.Function:
+    ((effect, _),) = model.effects[LinkEffect]
+    (pick,) = pickers(model)[LinkEffect]
+    twin, get, held_type = effect.warp_damping(link), pick.get, joints.held
 
     @wp.func
     def link_damping(
-        vehicle: vehicle_type, params: params_type, pos: vector, vel: vector, ang_vel: wp.vec3, lin_vel: wp.vec3,
-        wind: wp.vec3, weight: wp.vec3, dt: float,
-    ):  # fmt: skip
-        found = air_type()
-        rotation = wp.identity(n=3, dtype=float)
-        if wp.static(any_base):
-            com = com_of(base(vehicle, ang_vel, lin_vel))
-            found = base_row(params, rotation, com, ang_vel, lin_vel, wind, weight, dt, found)
-        return walk(params, pos, vel, rotation, ang_vel, lin_vel, wind, weight, dt, found)
-
-    return link_damping
-
-
-def _beyond(model: Model, articulation: Articulation, joints: JointTypes, link: int) -> wp.Function:
-    """Return the walk through all links that hang on one."""
-    air_type, vector, params_type = joints.air, joints.vector, values_type(model)
-
-    @wp.func
-    def nothing(
-        params: params_type, pos: vector, vel: vector, rotation: wp.mat33, ang_vel: wp.vec3, lin_vel: wp.vec3,
-        wind: wp.vec3, weight: wp.vec3, dt: float, found: air_type,
-    ):  # fmt: skip
-        return found
-
-    def beside(rest: wp.Function, one: wp.Function) -> wp.Function:
-        @wp.func
-        def both(
-            params: params_type, pos: vector, vel: vector, rotation: wp.mat33, ang_vel: wp.vec3, lin_vel: wp.vec3,
-            wind: wp.vec3, weight: wp.vec3, dt: float, found: air_type,
-        ):  # fmt: skip
-            first = rest(params, pos, vel, rotation, ang_vel, lin_vel, wind, weight, dt, found)
-            return one(params, pos, vel, rotation, ang_vel, lin_vel, wind, weight, dt, first)
-
-        return both
-
-    total, tree = nothing, articulation.tree
-    for k, joint in enumerate(tree.joints):
-        if joint.parent == link and any(tree.moves[other][k] for other in joints.damped):
-            total = beside(total, _make_link(model, articulation, joints, k))
-    return total
-
-
-def _make_link(model: Model, articulation: Articulation, joints: JointTypes, k: int) -> wp.Function:
-    """Return the walk through joint k, its link and what hangs on it; where a link is and moves is as in ``recursion``."""
-    air_type, vector, params_type, shape = joints.air, joints.vector, values_type(model), shape_of(articulation, k)
-    revolute, own_axis, offset, reference, com = shape.revolute, shape.axis, shape.offset, shape.reference, shape.com
-    row, acts, beyond = (
-        _make_row(model, joints, k + 1),
-        k + 1 in joints.damped,
-        _beyond(model, articulation, joints, k + 1),
-    )
-
-    @wp.func
-    def link(
-        params: params_type, pos: vector, vel: vector, rotation: wp.mat33, ang_vel: wp.vec3, lin_vel: wp.vec3,
-        wind: wp.vec3, weight: wp.vec3, dt: float, found: air_type,
-    ):  # fmt: skip
-        after = found
-        axis = rotation * own_axis
-        lever = rotation * offset
-        turned = rotation
-        if wp.static(revolute):
-            turned = rotation * wp.quat_to_matrix(wp.quat_from_axis_angle(own_axis, pos[k] - wp.static(reference)))
-        else:
-            lever = lever + axis * (pos[k] - wp.static(reference))
-        turn = ang_vel
-        move = lin_vel + wp.cross(ang_vel, lever)
-        if wp.static(revolute):
-            turn = ang_vel + vel[k] * axis
-        else:
-            move = move + vel[k] * axis
-        if wp.static(acts):
-            after = row(params, turned, turned * com, turn, move, wind, weight, dt, after)
-        return beyond(params, pos, vel, turned, turn, move, wind, weight, dt, after)
-
-    return link
-
-
-def _make_row(model: Model, joints: JointTypes, link: int) -> wp.Function | None:
-    """Return what writes the row of a link; None where nothing damps it.
-
-    The end of a step has ``-D (u + u' dt)`` with ``u' = R^T (a - weight + w x wind)``, where ``a`` is the spatial acceleration
-    of the centre of mass that the recursion finds, weight in it: what is not of ``a`` stands in the row.
-    """
-    if link not in joints.damped:
-        return None
-    ((effect, _),) = model.effects[LinkEffect]
-    (pick,) = pickers(model)[LinkEffect]
-    twin, get, params_type, air_type = effect.warp_damping(link), pick.get, values_type(model), joints.air
-    place = joints.damped.index(link)
-
-    @wp.func
-    def row(
-        params: params_type, rotation: wp.mat33, com: wp.vec3, ang_vel: wp.vec3, lin_vel: wp.vec3,
-        wind: wp.vec3, weight: wp.vec3, dt: float, found: air_type,
-    ):  # fmt: skip
-        after = found
+        own: Inertia, rotation: wp.mat33, com: wp.vec3, ang_vel: wp.vec3, lin_vel: wp.vec3, held: held_type, dt: float
+    ):
         back = wp.transpose(rotation)
-        through = back * (lin_vel + wp.cross(ang_vel, com) - wind)
+        through = back * (lin_vel + wp.cross(ang_vel, com) - held.wind)
         turn = back * ang_vel
-        damping = twin(wp.spatial_vector(through, turn), get(params))
+        damping = twin(wp.spatial_vector(through, turn), get(held.params))
         along = wp.spatial_top(damping)
         about = wp.spatial_bottom(damping)
-        force = wp.cw_mul(along, dt * (back * (weight - wp.cross(ang_vel, wind))) - through)
-        for i in range(3):
-            after[place, i] = force[i]
-            after[place, 3 + i] = -about[i] * turn[i]
-            after[place, 6 + i] = along[i]
-            after[place, 9 + i] = about[i]
+        force = rotation * wp.cw_mul(along, dt * (back * (held.weight - wp.cross(ang_vel, held.wind))) - through)
+        torque = -rotation * wp.cw_mul(about, turn)
+        push = dt * (rotation * wp.diag(along) * back)
+        mixed = wp.skew(com) * push
+        after = own
+        after.push += push
+        after.mixed += mixed
+        after.turn += dt * (rotation * wp.diag(about) * back) - mixed * wp.skew(com)
+        after.force -= force
+        after.torque -= torque + wp.cross(com, force)
         return after
 
-    return row
+    return link_damping

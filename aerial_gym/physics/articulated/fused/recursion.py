@@ -12,93 +12,16 @@ Letters: D joints, R rotors, C joints with a drive.
 Source: Featherstone (2008), Rigid Body Dynamics Algorithms, section 7.3 (articulated-body algorithm).
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import warp as wp
 
 from aerial_gym.physics.articulated.articulation import Articulation
-from aerial_gym.physics.articulated.fused.efforts import air_of, held_of, make_effort
+from aerial_gym.physics.articulated.fused.efforts import held_of, make_effort
+from aerial_gym.physics.articulated.fused.inertia import Inertia, carry, inertia_of, plus
 from aerial_gym.physics.fused.types import RotorTypes, vector_of
-
-
-@wp.struct
-class Inertia:
-    """Inertia of a link with all that it carries, about its origin, and what it takes to keep it unaccelerated."""
-
-    turn: wp.mat33  # torque per angular acceleration [kg m²]
-    mixed: wp.mat33  # torque per acceleration [kg m]; transposed, force per angular acceleration
-    push: wp.mat33  # force per acceleration [kg]
-    torque: wp.vec3  # [N m]
-    force: wp.vec3  # [N]
-
-
-@wp.func
-def plus(a: Inertia, b: Inertia) -> Inertia:
-    """Return both together."""
-    both = Inertia()
-    both.turn = a.turn + b.turn
-    both.mixed = a.mixed + b.mixed
-    both.push = a.push + b.push
-    both.torque = a.torque + b.torque
-    both.force = a.force + b.force
-    return both
-
-
-@wp.func
-def inertia_of(mass: float, com: wp.vec3, about: wp.mat33, ang_vel: wp.vec3, lin_vel: wp.vec3) -> Inertia:
-    """Return that of one rigid link.
-
-    Args:
-        mass: [kg].
-        com: Centre of mass from the link's origin [m].
-        about: Inertia about it, axes of the base [kg m²].
-        ang_vel: Of the link [rad/s].
-        lin_vel: Of its origin [m/s].
-    """
-    own = Inertia()
-    lever = wp.skew(com)
-    own.turn = about - mass * (lever * lever)
-    own.mixed = mass * lever
-    own.push = mass * wp.identity(n=3, dtype=float)
-    momentum = mass * (lin_vel + wp.cross(ang_vel, com))
-    spin = own.turn * ang_vel + mass * wp.cross(com, lin_vel)
-    own.torque = wp.cross(ang_vel, spin) + wp.cross(lin_vel, momentum)
-    own.force = wp.cross(ang_vel, momentum)
-    return own
-
-
-@wp.func
-def com_of(own: Inertia) -> wp.vec3:
-    """Return the centre of mass of one rigid link from its origin [m]."""
-    return (1.0 / own.push[0, 0]) * wp.vec3(own.mixed[2, 1], own.mixed[0, 2], own.mixed[1, 0])
-
-
-@wp.func
-def slowed(own: Inertia, rotation: wp.mat33, com: wp.vec3, air: Any, row: int, dt: float) -> Inertia:
-    """Return that of a link that the air damps at the end of a step: ``dt D`` beside its mass.
-
-    Args:
-        own: Of the link.
-        rotation: Its axes to those of the base.
-        com: Its centre of mass from its origin [m].
-        air: What damps links, as ``link_damping.make_link_damping`` gives it.
-        row: Of this link.
-        dt: Length of the step [s].
-    """
-    after = own
-    force = rotation * wp.vec3(air[row, 0], air[row, 1], air[row, 2])
-    torque = rotation * wp.vec3(air[row, 3], air[row, 4], air[row, 5])
-    back = wp.transpose(rotation)
-    push = dt * (rotation * wp.diag(wp.vec3(air[row, 6], air[row, 7], air[row, 8])) * back)
-    lever = wp.skew(com)
-    mixed = lever * push
-    after.push += push
-    after.mixed += mixed
-    after.turn += dt * (rotation * wp.diag(wp.vec3(air[row, 9], air[row, 10], air[row, 11])) * back) - mixed * lever
-    after.force -= force
-    after.torque -= torque + wp.cross(com, force)
-    return after
 
 
 @dataclass(frozen=True)
@@ -114,15 +37,9 @@ class JointTypes:
     held: Any
     """``wp.struct`` of what is held through a step."""
 
-    air: Any
-    """Twelve numbers of each link that the air damps, of what it does to it."""
 
-    damped: tuple[int, ...]
-    """These links, in the order of their rows."""
-
-
-def joint_types(num_joints: int, damped: tuple[int, ...]) -> JointTypes:
-    """Return the types for a number of joints, and for the links that the air damps."""
+def joint_types(num_joints: int, params_type: Any) -> JointTypes:
+    """Return the types for a number of joints, with the type of parameters of effects where the air damps links, or None."""
     vector, rows = vector_of(num_joints), wp.types.matrix(shape=(num_joints, 3), dtype=wp.float32)
     fields = {
         "free": vector,  # acceleration of the joint where its parent has none
@@ -134,22 +51,23 @@ def joint_types(num_joints: int, damped: tuple[int, ...]) -> JointTypes:
         "swing": rows,
     }
     struct = wp.struct(type("WayBack", (), {"__annotations__": fields, "__module__": __name__}))
-    return JointTypes(vector, struct, held_of(num_joints, len(damped)), air_of(len(damped)), damped)
+    return JointTypes(vector, struct, held_of(num_joints, params_type))
 
 
 def make_recursion(
-    articulation: Articulation, types: RotorTypes, joints: JointTypes
+    articulation: Articulation, types: RotorTypes, joints: JointTypes, air: Mapping[int, wp.Function]
 ) -> tuple[wp.Function, wp.Function]:
     """Return the ways in and back.
 
     The way in: (vehicle, position of joints, their rate, that at which swinging is taken, joint command, what is held
-    through the step, thrusts, drag torques, angular velocity and velocity of the base, dt) -> ``Inertia`` of all that the base
-    carries, with what its own rotors do, and what is kept.
+    through the step, thrusts, drag torques, angular velocity of the base at the start of the step and that at which turning is
+    taken, its velocity, dt) -> ``Inertia`` of all that the base carries, with what its own rotors do, and what is kept.
+    ``air`` is what the air does to links, as ``link_damping.make_link_damping`` gives it.
     The way back: (kept, angular acceleration and acceleration of the base, weight not taken off it) -> accelerations of joints.
     """
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
     command_type, held_type = vector_of(max(articulation.num_driven, 1)), joints.held
-    links = [_make_link(articulation, k, types, joints) for k in range(articulation.num_joints)]
+    links = [_make_link(articulation, k, types, joints, air) for k in range(articulation.num_joints)]
     inward, back = _make_nothing(types, joints, command_type)
     into: dict[int, wp.Function] = {}
     out: dict[int, wp.Function] = {}
@@ -164,14 +82,14 @@ def make_recursion(
     @wp.func
     def all_in(
         vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, command: command_type, held: held_type,
-        thrusts: types.vector,
-        drags: types.vector, ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float,
+        thrusts: types.vector, drags: types.vector, ang_vel_0: wp.vec3, ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float,
     ):  # fmt: skip
         kept = back_type()
         rotation = wp.identity(n=3, dtype=float)
         carried, kept = way_in(
-            vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, ang_vel, lin_vel, dt, kept
-        )
+            vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, ang_vel_0, lin_vel, ang_vel, lin_vel, dt,
+            kept,
+        )  # fmt: skip
         carried = base_rotors(vehicle, thrusts, drags, rotation, carried)
         return carried, kept
 
@@ -201,9 +119,8 @@ def _make_nothing(types: RotorTypes, joints: JointTypes, command_type: Any) -> t
     @wp.func
     def nothing_in(
         vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, command: command_type, held: held_type,
-        thrusts: types.vector,
-        drags: types.vector, rotation: wp.mat33, ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float,
-        kept: back_type,
+        thrusts: types.vector, drags: types.vector, rotation: wp.mat33, ang_vel_0: wp.vec3, lin_vel_0: wp.vec3,
+        ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float, kept: back_type,
     ):  # fmt: skip
         return Inertia(), kept
 
@@ -218,15 +135,17 @@ def _beside_in(rest: wp.Function, one: wp.Function) -> wp.Function:
     @wp.func
     def both_in(
         vehicle: Any, pos: Any, vel: Any, swing_vel: Any, command: Any, held: Any,
-        thrusts: Any, drags: Any, rotation: wp.mat33,
+        thrusts: Any, drags: Any, rotation: wp.mat33, ang_vel_0: wp.vec3, lin_vel_0: wp.vec3,
         ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float, kept: Any,
     ):  # fmt: skip
         first, kept_first = rest(
-            vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, ang_vel, lin_vel, dt, kept
-        )
+            vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, ang_vel_0, lin_vel_0, ang_vel, lin_vel,
+            dt, kept,
+        )  # fmt: skip
         second, kept_both = one(
-            vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, ang_vel, lin_vel, dt, kept_first
-        )
+            vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, ang_vel_0, lin_vel_0, ang_vel, lin_vel,
+            dt, kept_first,
+        )  # fmt: skip
         return plus(first, second), kept_both
 
     return both_in
@@ -265,55 +184,19 @@ def _make_back(k: int, revolute: bool, joints: JointTypes, carried: wp.Function)
     return joint_back
 
 
-@wp.func
-def carry(of: Inertia, lever: wp.vec3) -> Inertia:
-    """Return an inertia about another origin, from which the first one is ``lever`` away."""
-    after = Inertia()
-    cross = wp.skew(lever)
-    after.mixed = of.mixed + cross * of.push
-    after.turn = of.turn + cross * wp.transpose(of.mixed) - after.mixed * cross
-    after.push = of.push
-    after.torque = of.torque + wp.cross(lever, of.force)
-    after.force = of.force
-    return after
-
-
-@dataclass(frozen=True)
-class Shape:
-    """Where a joint and the link on it are, as numbers in the code."""
-
-    revolute: bool
-    axis: wp.vec3
-    """In the joint's frame."""
-
-    offset: wp.vec3
-    """From the origin of the parent in the reference pose [m], its axes."""
-
-    reference: float
-    """Coordinate in the reference pose [rad] or [m]."""
-
-    com: wp.vec3
-    """Centre of mass from the origin of the link [m], its axes."""
-
-
-def shape_of(articulation: Articulation, k: int) -> Shape:
-    """Return where joint k and its link are."""
-    joint, reference = articulation.tree.joints[k], float(articulation.reference[k])
-    axis, offset = wp.vec3(*joint.axis), wp.vec3(*joint.position)
-    revolute = joint.kind == "revolute"
-    if not revolute:
-        offset = offset + reference * axis
-    com = wp.vec3(*(articulation.link_com[k] - articulation.origins[k + 1]).tolist())
-    return Shape(revolute, axis, offset, reference, com)
-
-
-def _make_link(articulation: Articulation, k: int, types: RotorTypes, joints: JointTypes) -> Any:
+def _make_link(
+    articulation: Articulation, k: int, types: RotorTypes, joints: JointTypes, air: Mapping[int, wp.Function]
+) -> Any:
     """Return what makes the way in through joint k of that through what its link carries."""
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
     command_type, held_type = vector_of(max(articulation.num_driven, 1)), joints.held
-    shape, damped = shape_of(articulation, k), k + 1 in joints.damped
-    row = joints.damped.index(k + 1) if damped else 0
-    revolute, own_axis, offset, reference, com = shape.revolute, shape.axis, shape.offset, shape.reference, shape.com
+    joint, reference = articulation.tree.joints[k], float(articulation.reference[k])
+    revolute, own_axis, offset = joint.kind == "revolute", wp.vec3(*joint.axis), wp.vec3(*joint.position)
+    if not revolute:
+        offset = offset + reference * own_axis
+    com = wp.vec3(*(articulation.link_com[k] - articulation.origins[k + 1]).tolist())  # from the origin of the link
+    in_air, ahead = air.get(k + 1), articulation.looks_ahead
+    damped, damps = in_air is not None, any(articulation.tree.moves[link][k] for link in air)
     mass = float(articulation.link_mass[k])
     inertia = wp.mat33(*articulation.link_inertia[k].flatten().tolist())
     has_mass, has_inertia = mass > 0.0, bool(articulation.link_inertia[k].any())
@@ -323,9 +206,8 @@ def _make_link(articulation: Articulation, k: int, types: RotorTypes, joints: Jo
         @wp.func
         def link_in(
             vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, command: command_type, held: held_type,
-            thrusts: types.vector,
-            drags: types.vector, rotation: wp.mat33, ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float,
-            kept: back_type,
+            thrusts: types.vector, drags: types.vector, rotation: wp.mat33, ang_vel_0: wp.vec3, lin_vel_0: wp.vec3,
+            ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float, kept: back_type,
         ):  # fmt: skip
             after = kept
             q = pos[k]
@@ -347,9 +229,19 @@ def _make_link(articulation: Articulation, k: int, types: RotorTypes, joints: Jo
                 swing = rate * wp.cross(move, axis)
             else:
                 move = move + rate * axis
+            turn_0 = turn
+            move_0 = move
+            if wp.static(damps and ahead):  # what the air does is of the start of the step
+                turn_0 = ang_vel_0
+                move_0 = lin_vel_0 + wp.cross(ang_vel_0, lever)
+                if wp.static(revolute):
+                    turn_0 = turn_0 + vel[k] * axis
+                else:
+                    move_0 = move_0 + vel[k] * axis
             whole, after = carried(
-                vehicle, pos, vel, swing_vel, command, held, thrusts, drags, turned, turn, move, dt, after
-            )
+                vehicle, pos, vel, swing_vel, command, held, thrusts, drags, turned, turn_0, move_0, turn, move, dt,
+                after,
+            )  # fmt: skip
             if wp.static(has_mass):
                 about = wp.mat33()
                 if wp.static(has_inertia):
@@ -357,7 +249,7 @@ def _make_link(articulation: Articulation, k: int, types: RotorTypes, joints: Jo
                 whole = plus(whole, inertia_of(wp.static(mass), turned * com, about, turn, move))
             whole = rotors(vehicle, thrusts, drags, turned, whole)
             if wp.static(damped):
-                whole = slowed(whole, turned, turned * com, held.air, wp.static(row), dt)
+                whole = in_air(whole, turned, turned * com, turn_0, move_0, held, dt)
             acts, stiff = effort(q, vel[k], command, held, dt)
             if wp.static(revolute):
                 by_turn = whole.turn * axis

@@ -1,0 +1,68 @@
+"""Inertia of a link with all that it carries, in Warp."""
+
+import warp as wp
+
+
+@wp.struct
+class Inertia:
+    """Inertia of a link with all that it carries, about its origin, and what it takes to keep it unaccelerated."""
+
+    turn: wp.mat33  # torque per angular acceleration [kg m²]
+    mixed: wp.mat33  # torque per acceleration [kg m]; transposed, force per angular acceleration
+    push: wp.mat33  # force per acceleration [kg]
+    torque: wp.vec3  # [N m]
+    force: wp.vec3  # [N]
+
+
+@wp.func
+def plus(a: Inertia, b: Inertia) -> Inertia:
+    """Return both together."""
+    both = Inertia()
+    both.turn = a.turn + b.turn
+    both.mixed = a.mixed + b.mixed
+    both.push = a.push + b.push
+    both.torque = a.torque + b.torque
+    both.force = a.force + b.force
+    return both
+
+
+@wp.func
+def inertia_of(mass: float, com: wp.vec3, about: wp.mat33, ang_vel: wp.vec3, lin_vel: wp.vec3) -> Inertia:
+    """Return that of one rigid link.
+
+    Args:
+        mass: [kg].
+        com: Centre of mass from the link's origin [m].
+        about: Inertia about it, axes of the base [kg m²].
+        ang_vel: Of the link [rad/s].
+        lin_vel: Of its origin [m/s].
+    """
+    own = Inertia()
+    lever = wp.skew(com)
+    own.turn = about - mass * (lever * lever)
+    own.mixed = mass * lever
+    own.push = mass * wp.identity(n=3, dtype=float)
+    momentum = mass * (lin_vel + wp.cross(ang_vel, com))
+    spin = own.turn * ang_vel + mass * wp.cross(com, lin_vel)
+    own.torque = wp.cross(ang_vel, spin) + wp.cross(lin_vel, momentum)
+    own.force = wp.cross(ang_vel, momentum)
+    return own
+
+
+@wp.func
+def com_of(own: Inertia) -> wp.vec3:
+    """Return the centre of mass of one rigid link from its origin [m]."""
+    return (1.0 / own.push[0, 0]) * wp.vec3(own.mixed[2, 1], own.mixed[0, 2], own.mixed[1, 0])
+
+
+@wp.func
+def carry(of: Inertia, lever: wp.vec3) -> Inertia:
+    """Return an inertia about another origin, from which the first one is ``lever`` away."""
+    after = Inertia()
+    cross = wp.skew(lever)
+    after.mixed = of.mixed + cross * of.push
+    after.turn = of.turn + cross * wp.transpose(of.mixed) - after.mixed * cross
+    after.push = of.push
+    after.torque = of.torque + wp.cross(lever, of.force)
+    after.force = of.force
+    return after
