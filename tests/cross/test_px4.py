@@ -21,7 +21,14 @@ from aerial_gym.math.quaternion import (
     quat_multiply,
     quat_rotate,
 )
-from tests.cross.firmware.px4_pairs import attitude_cases, attitude_pair, position_pairs, rate_pair, read_vectors
+from tests.cross.firmware.px4_pairs import (
+    attitude_cases,
+    attitude_pair,
+    mixer_pair,
+    position_pairs,
+    rate_pair,
+    read_vectors,
+)
 
 EPS = 2.0**-24
 """Half a unit in the last place of float32, in which PX4 computes."""
@@ -37,6 +44,16 @@ def test_rate_control_is_px4s(vectors: dict[str, Tensor]) -> None:
     ours, theirs, size = rate_pair(vectors)
     assert ours.shape == (4, 2500, 3)
     assert ((ours - theirs).abs() <= 8 * EPS * size).all()
+
+
+def test_the_mixer_is_px4s() -> None:
+    """All three airmodes, quadrotors and six motors with random parts; four in five commands are beyond the limits.
+
+    A step along a column is a quotient by a part of at least 0.2, and there are at most six: 8 roundings of numbers up to 5.
+    """
+    ours, theirs = mixer_pair()
+    assert ours.shape == (10_000, 6)
+    assert float((ours - theirs).abs().max()) <= 8 * EPS * 5.0
 
 
 def test_attitude_control_is_px4s(vectors: dict[str, Tensor]) -> None:

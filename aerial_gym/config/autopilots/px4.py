@@ -174,6 +174,10 @@ class Px4Cfg(Tuned):
     """Share f of the quadratic part in the believed thrust ``f s² + (1 - f) s`` of a motor signal s between its lowest and
     highest speed [-], 0 to 1. If not given the autopilot knows the thrust map of the robot file."""
 
+    MC_AIRMODE: int | None = None
+    """What gives way where motors are at their limits: PX4's order, in which thrust rises for no torque (0), for roll
+    and pitch (1), or for yaw as well (2). If not given, that of ``ControllerCfg.allocation``. PX4's default is 0."""
+
     source: str = "Derived: aerial_gym.control.px4.parameters"
     """Where the numbers come from."""
 
@@ -188,3 +192,5 @@ class Px4Cfg(Tuned):
                 raise ConfigError(f"Px4Cfg.{name} = {value!r}: must be > {low:g} and at most {high:g}")
         if self.THR_MDL_FAC is not None and self.THR_MDL_FAC > 1.0:
             raise ConfigError(f"Px4Cfg.THR_MDL_FAC = {self.THR_MDL_FAC!r}: must be from 0 to 1")
+        if self.MC_AIRMODE not in (None, 0, 1, 2):
+            raise ConfigError(f"Px4Cfg.MC_AIRMODE = {self.MC_AIRMODE!r}: must be 0, 1 or 2, or left out")

@@ -2,8 +2,9 @@
 
     action -> position and attitude control (at ``ControllerCfg.rate_hz``) -> rate control (at ``Px4Cfg.rate_hz``) -> rotors
 
-It never takes a vehicle for landed, estimates no hover thrust and has no airmode: what the rotors cannot give is shared out as
-``ControllerCfg.allocation`` says, and what of a torque was not given stops the integral at the next run, as in PX4.
+It never takes a vehicle for landed and estimates no hover thrust. What the rotors cannot give is shared out as PX4 does it if
+``Px4Cfg.MC_AIRMODE`` is given, else as ``ControllerCfg.allocation`` says; what of a torque was not given stops the integral at
+the next run, as in PX4.
 Frames: world z up, body x forward, y left, z up. Letters: E environments, R rotors, M remembered numbers.
 """
 
@@ -23,6 +24,7 @@ from aerial_gym.control.laws import LAWS
 from aerial_gym.control.lee import wrench_from
 from aerial_gym.control.px4 import px4_fused
 from aerial_gym.control.px4.attitude import attitude_from_thrust, wanted_rates
+from aerial_gym.control.px4.mixer import mix
 from aerial_gym.control.px4.parameters import filters_of, parameters_of, thrust_curve
 from aerial_gym.control.px4.position import limited_velocity, velocity_control
 from aerial_gym.control.px4.rates import RATE_NUMBERS, grown_integral, rate_torque
@@ -55,7 +57,8 @@ class Px4Controller(RememberingController):
         _require_fit(px4, vehicle)
         self.timing = timing = timing_of(replace(cfg, px4=px4), dt)
         law = LAWS[cfg.law]
-        self.action_names, self._law, self._factor = law.action, cfg.law, px4.THR_MDL_FAC
+        self.action_names, self._law = law.action, cfg.law
+        self._factor, self._airmode = px4.THR_MDL_FAC, px4.MC_AIRMODE
         self.allocation = Allocation(vehicle, gravity, saturation=cfg.allocation, effectiveness=control.effectiveness)
         self.gains = parameters_of(cfg, px4, control, vehicle, self.allocation, gravity=gravity, timing=timing)
         self.filters = filters_of(px4, timing)
@@ -135,11 +138,23 @@ class Px4Controller(RememberingController):
         integral = grown_integral(integral, error, short, gains.rate_integral, gains.integral_limit, span)
         yaw = yaw + filters.yaw_torque * (torque[:, 2:] - yaw)
         torque = torch.cat((torque[:, :2], yaw), dim=-1)
-        wrench = wrench_from((setpoint[:, :1] * gains.unit_thrust)[:, 0], torque * gains.unit_torque)
-        allotted = self.allocation.allot(wrench)
+        thrust, short = self._mixed(torque, setpoint[:, :1])
+        return self._speeds(thrust), torch.cat((integral, ang_acc, rate, inner, short, yaw, *notched), dim=-1)
+
+    def _mixed(self, torque: Tensor, collective: Tensor) -> tuple[Tensor, Tensor]:
+        """Return thrusts [N], (E, R), for normalised torque and thrust, and the sign of the torque not given, (E, 3)."""
+        unit_torque, unit_thrust = self.gains.unit_torque, self.gains.unit_thrust
+        if self._airmode is not None:
+            inverse, full = self.allocation.inverse, self.allocation.high
+            turning = inverse[..., 3:] * unit_torque.unsqueeze(1)
+            lifting = inverse[..., 2:3] * unit_thrust.unsqueeze(1)
+            columns = torch.cat((turning, lifting), dim=-1) / full.unsqueeze(-1)
+            wanted = torch.cat((torque, collective), dim=-1)
+            mixed = mix(columns, wanted, self.allocation.low / full, airmode=self._airmode)
+            return mixed.signal * full, mixed.short
+        allotted = self.allocation.allot(wrench_from((collective * unit_thrust)[:, 0], torque * unit_torque))
         given = torch.cat((allotted.turn, allotted.turn, allotted.rest), dim=-1)
-        short = torch.where(given < 1.0, torch.sign(torque), 0.0)
-        return self._speeds(allotted.thrust), torch.cat((integral, ang_acc, rate, inner, short, yaw, *notched), dim=-1)
+        return allotted.thrust, torch.where(given < 1.0, torch.sign(torque), 0.0)
 
     def _speeds(self, thrust: Tensor) -> Tensor:
         """Return the rotor speeds [rad/s] that PX4 takes for thrusts [N], (E, R)."""
@@ -151,7 +166,13 @@ class Px4Controller(RememberingController):
         """Return the twin in Warp."""
         return self._fused(
             remembering=px4_fused.maker(
-                self._law, self.filters, self.timing, self._layout, first=self._inner, factor=self._factor
+                self._law,
+                self.filters,
+                self.timing,
+                self._layout,
+                first=self._inner,
+                factor=self._factor,
+                airmode=self._airmode,
             ),
             gains_type=px4_fused.Px4Rows,
             load_gains=px4_fused.load_gains,

@@ -14,6 +14,7 @@ from torch import Tensor
 from aerial_gym.control.cascade_fused import make_allot, make_remembering, make_two_levels
 from aerial_gym.control.filters.biquad_fused import make_filter
 from aerial_gym.control.lee_fused import from_vehicle_frame, inverse_cos_pitch, read_vec3, write_vec3
+from aerial_gym.control.px4.mixer_fused import make_mixer
 from aerial_gym.control.px4.rates import FADING_RATE, RATE_NUMBERS
 from aerial_gym.control.reduced_attitude_fused import tilt_first_error
 from aerial_gym.control.timing import Timing
@@ -240,12 +241,13 @@ def make_gyro(filters: "Px4Filters", after: int) -> wp.Function:
 
 
 def make_rates(
-    law: FusedLaw, num_rotors: int, general: bool, filters: "Px4Filters", timing: Timing, factor: float | None
-) -> wp.Function:
+    law: FusedLaw, num_rotors: int, general: bool, filters: "Px4Filters", timing: Timing, factor: float | None,
+    airmode: int | None,
+) -> wp.Function:  # fmt: skip
     """Return ``controller.Px4Controller._rates``."""
     types = rotor_types(num_rotors, general)
     command_type, vector, period = types.command, types.vector, float(timing.loop)
-    allot, gyro = make_allot(law, num_rotors, general), make_gyro(filters, RATE_NUMBERS)
+    mixed, gyro = make_mixed(law, num_rotors, general, airmode), make_gyro(filters, RATE_NUMBERS)
     speed_of = make_motors(num_rotors, general, factor)
     ang_acc_share, yaw_share, fading = filters.ang_acc, filters.yaw_torque, FADING_RATE
 
@@ -269,27 +271,42 @@ def make_rates(
         torque += wp.cw_mul(gains.rate_forward, wanted)
         yaw = arrays.numbers[18, env]
         torque[2] = yaw + wp.static(yaw_share) * (torque[2] - yaw)
-        turning = wp.cw_mul(torque, gains.unit_torque)
-        thrust, turn, rest = allot(
-            params, wp.spatial_vector(0.0, 0.0, setpoint[0] * gains.unit_thrust, turning[0], turning[1], turning[2])
-        )
-        given = wp.vec3(turn, turn, rest)
+        thrust, missing = mixed(params, gains.unit_torque, gains.unit_thrust, torque, setpoint[0])
         for i in range(3):
             useful = wp.where(short[i] * error[i] > 0.0, 0.0, error[i])
             share = useful / wp.static(fading)
             growth = wp.max(1.0 - share * share, 0.0) * gains.rate_integral[i] * useful * span
             limit = gains.integral_limit[i]
             arrays.numbers[i, env] = wp.min(wp.max(integral[i] + growth, -limit), limit)
-            missing = 0.0
-            if given[i] < 1.0 and torque[i] != 0.0:
-                missing = wp.sign(torque[i])
-            arrays.numbers[15 + i, env] = missing
+            arrays.numbers[15 + i, env] = missing[i]
         write_vec3(arrays.numbers, 3, env, ang_acc)
         write_vec3(arrays.numbers, 6, env, rate)
         arrays.numbers[18, env] = torque[2]
         return speed_of(params, thrust)
 
     return run_loop
+
+
+def make_mixed(law: FusedLaw, num_rotors: int, general: bool, airmode: int | None) -> wp.Function:
+    """Return ``controller.Px4Controller._mixed``: from units of torque [N m] and thrust [N], normalised torque and thrust."""
+    if airmode is not None:
+        return make_mixer(num_rotors, general, airmode)
+    command_type, allot = rotor_types(num_rotors, general).command, make_allot(law, num_rotors, general)
+
+    @wp.func
+    def allotted(params: command_type, unit_torque: wp.vec3, unit_thrust: float, torque: wp.vec3, collective: float):
+        turning = wp.cw_mul(torque, unit_torque)
+        thrust, turn, rest = allot(
+            params, wp.spatial_vector(0.0, 0.0, collective * unit_thrust, turning[0], turning[1], turning[2])
+        )
+        given = wp.vec3(turn, turn, rest)
+        short = wp.vec3()
+        for i in range(3):
+            if given[i] < 1.0 and torque[i] != 0.0:
+                short[i] = wp.sign(torque[i])
+        return thrust, short
+
+    return allotted
 
 
 def make_motors(num_rotors: int, general: bool, factor: float | None) -> wp.Function:
@@ -316,7 +333,14 @@ def make_motors(num_rotors: int, general: bool, factor: float | None) -> wp.Func
 
 
 def maker(
-    law_name: str, filters: "Px4Filters", timing: Timing, layout: "Layout", *, first: int, factor: float | None
+    law_name: str,
+    filters: "Px4Filters",
+    timing: Timing,
+    layout: "Layout",
+    *,
+    first: int,
+    factor: float | None,
+    airmode: int | None,
 ) -> Callable[[FusedLaw, int, bool], wp.Function]:
     """Return what composes the cascade for a number of rotors: ``FusedLaw.remembering``.
 
@@ -327,11 +351,12 @@ def maker(
         layout: Where numbers stand.
         first: Number at which those of the law begin.
         factor: THR_MDL_FAC.
+        airmode: MC_AIRMODE.
     """
 
     def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
         wish = make_wish(law_name, filters, timing, first)
-        run_loop = make_rates(law, num_rotors, general, filters, timing, factor)
+        run_loop = make_rates(law, num_rotors, general, filters, timing, factor, airmode)
         run = make_two_levels(law, num_rotors, general, timing, wish, run_loop)
         return make_remembering(law, num_rotors, general, timing, layout, run)
 

@@ -23,6 +23,7 @@ def pairs() -> dict[str, tuple[Tensor, Tensor]]:
         "PX4: normalised torque": px4_pairs.rate_pair(vectors)[:2],
         "PX4: body rates of attitude control [rad/s]": px4_pairs.attitude_pair(vectors),
         **position,
+        "PX4: motor signals of the mixer": px4_pairs.mixer_pair(),
         **_crazyflie(),
     }
 

@@ -9,9 +9,11 @@ import torch
 from torch import Tensor
 
 from aerial_gym.control.px4.attitude import attitude_from_thrust, wanted_rates
+from aerial_gym.control.px4.mixer import mix
 from aerial_gym.control.px4.position import PositionGains, limited_velocity, velocity_control
 from aerial_gym.control.px4.rates import grown_integral, rate_torque
 from aerial_gym.control.reduced_attitude import canonical
+from tests.cross.firmware import px4_mixer_vectors as mixed
 from tests.cross.firmware import px4_vectors as made
 
 GRAVITY = 9.80665
@@ -99,3 +101,19 @@ def position_pairs(vectors: dict[str, Tensor]) -> dict[str, Pair]:
         "normalised thrust": (thrust, parts[1], torch.ones_like(size)),
         "wanted attitude (quaternion)": (attitude, parts[2].view_as(attitude), torch.ones_like(size)),
     }
+
+
+def mixer_pair() -> tuple[Tensor, Tensor]:
+    """Return the motor signals of all commands of ``px4_mixer_vectors``, (N, R)."""
+    with np.load(mixed.VECTORS) as file:
+        if int(file["checksum"]) != mixed.states_checksum():
+            raise ValueError("the commands are not those of the vectors: make them anew (px4_mixer_vectors.py)")
+        theirs = torch.from_numpy(file["signals"]).double()
+    parts, wanted = (torch.from_numpy(rows).double() for rows in mixed.states())
+    parts, low, wanted, airmode = parts[..., :4], parts[..., 4], wanted[:, :4], wanted[:, 4]
+    down = parts.new_tensor((1.0, -1.0, -1.0, -1.0))  # pitch, yaw and thrust are positive the other way
+    ours = torch.zeros_like(theirs)
+    for mode in range(3):
+        rows = airmode == mode
+        ours[rows] = mix(parts[rows] * down, wanted[rows] * down, low[rows], airmode=mode).signal
+    return ours, theirs

@@ -289,6 +289,12 @@ CASES = {
         (),
     ),
     "all of PX4": (replace(CONTROLLERS.get("px4_position_control"), rate_hz=50.0, delay=0.014, px4=FILTERED), ()),
+    "PX4 with airmode": (
+        replace(
+            CONTROLLERS.get("px4_rate_control"), delay=0.014, px4=replace(FILTERED, MC_AIRMODE=1, MC_ROLLRATE_P=2.0)
+        ),
+        (),
+    ),
 }
 
 

@@ -1,0 +1,142 @@
+"""What gives way where PX4's motors are at their limits: numbers of its unit tests, what the integral is told, the Warp twin.
+
+PX4's own code is laid beside it in ``tests/cross/test_px4.py``.
+"""
+
+from dataclasses import replace
+
+import pytest
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.config.autopilots.px4 import Px4Cfg
+from aerial_gym.control import CONTROLLERS, make_controller
+from aerial_gym.control.px4.mixer import Mixed, mix
+from aerial_gym.control.px4.mixer_fused import make_mixer
+from aerial_gym.errors import ConfigError
+from aerial_gym.physics import state_at_rest, vehicle_from_config
+from aerial_gym.physics.fused.types import rotor_types
+from aerial_gym.physics.law_memory import fresh_law_memory
+from aerial_gym.robots import ROBOTS
+
+F64 = torch.float64
+UNIT_TEST = torch.tensor(
+    [[0.25, 0.25, 5, 0.25], [-0.25, -0.25, 5, 0.25], [-0.25, 0.25, -5, 0.25], [0.25, -0.25, -5, 0.25]]
+)
+"""The mixing matrix of PX4's unit tests: a quadrotor of 1 m by 1 m and a moment ratio of 0.05, not normalised."""
+
+QUADROTOR = UNIT_TEST / torch.tensor([0.25 * 2**0.5, 0.25 * 2**0.5, 5.0, 0.25])
+"""The same, normalised."""
+
+
+def mixed(wanted: list[float], airmode: int, columns: Tensor = QUADROTOR, *, low: float = 0.0) -> Mixed:
+    rows = columns.to(F64).unsqueeze(0)
+    return mix(rows, torch.tensor([wanted], dtype=F64), torch.full(rows.shape[:2], low, dtype=F64), airmode=airmode)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "signals"),
+    [
+        ([0, 0, 1.0, 0], [0, 0, 0, 0]),
+        ([0, 0, 0, 0.75], [0.1875, 0.1875, 0.1875, 0.1875]),
+        ([0, 0, 0.02, 0.75], [0.2875, 0.2875, 0.0875, 0.0875]),
+        ([0, 0, 0.25, 0.75], [0.375, 0.375, 0, 0]),
+        ([0, 0.1, 0, 0.75], [0.2125, 0.1625, 0.2125, 0.1625]),
+        ([0, 0, 1.0, 3.2], [1.0, 1.0, 0.3, 0.3]),
+        ([0, 2.0, 0, 3.0], [1.0, 0, 1.0, 0]),
+    ],
+)
+def test_without_airmode_signals_are_those_of_px4s_unit_tests(wanted: list[float], signals: list[float]) -> None:
+    """Yaw alone is nothing; yaw is cut to what thrust carries, and takes up to 0.15 of thrust; pitch takes thrust."""
+    found = mixed([float(w) for w in wanted], 0, UNIT_TEST).signal
+    torch.testing.assert_close(found, torch.tensor([signals], dtype=F64), atol=1e-4, rtol=0)
+
+
+def test_airmode_raises_thrust_for_roll_and_pitch_alone_or_for_yaw_as_well() -> None:
+    """Roll 0.4 needs +-0.283 of each motor, yaw 0.4 needs +-0.4, and only 0.1 of thrust is wanted."""
+    roll, half = [0.4, 0.0, 0.0, 0.1], 0.4 * 0.5**0.5
+    low, high = (torch.tensor(row, dtype=F64) for row in ([[0.2, 0, 0, 0.2]], [[2 * half, 0, 0, 2 * half]]))
+    torch.testing.assert_close(mixed(roll, 0).signal, low)  # as much roll as the thrust has room for
+    torch.testing.assert_close(mixed(roll, 1).signal, high)
+    torch.testing.assert_close(mixed(roll, 2).signal, high)
+    yaw = [0.0, 0.0, 0.4, 0.1]
+    torch.testing.assert_close(mixed(yaw, 1).signal, torch.tensor([[0.2, 0.2, 0, 0]], dtype=F64))
+    torch.testing.assert_close(mixed(yaw, 2).signal, torch.tensor([[0.8, 0.8, 0, 0]], dtype=F64))
+
+
+@pytest.mark.parametrize(
+    ("wanted", "airmode", "short"),
+    [
+        ([0.1, -0.1, 0.1, 0.5], 0, [0, 0, 0]),
+        ([-0.4, 0.0, 0.0, 0.1], 0, [-1, 0, 0]),
+        ([-0.4, 0.0, 0.0, 0.1], 1, [0, 0, 0]),
+        ([0.0, 0.0, -0.4, 0.1], 1, [0, 0, -1]),
+        ([0.0, 0.0, -0.4, 0.1], 2, [0, 0, 0]),
+        ([0.0, 1.2, 0.1, 0.5], 1, [0, 1, 1]),
+    ],
+)
+def test_it_tells_which_torque_is_not_given(wanted: list[float], airmode: int, short: list[int]) -> None:
+    """In the last one no thrust makes room for the pitch: motors are cut off, and what else is wanted counts as not given."""
+    torch.testing.assert_close(mixed(wanted, airmode).short, torch.tensor([short], dtype=F64))
+
+
+def test_the_integral_waits_for_the_torque_that_airmode_would_give() -> None:
+    """At little thrust a small roll error is more than the motors have without airmode, and all theirs with it."""
+    vehicle = vehicle_from_config(ROBOTS.get("x500"), num_envs=1, dtype=F64)
+    grown = []
+    for airmode in (0, 1):
+        px4 = Px4Cfg(MC_ROLLRATE_P=0.5, MC_ROLLRATE_I=0.5, MC_RR_INT_LIM=10.0, MC_AIRMODE=airmode)
+        law = make_controller(replace(CONTROLLERS.get("px4_rate_control"), px4=px4), vehicle, 9.81, dt=0.002)
+        state, memory = state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64), None
+        memory = fresh_law_memory(law.needs, 1, state.position)
+        for _ in range(10):
+            _, memory = law.command(state, torch.tensor([[-0.95, 0.3, 0.0, 0.0]], dtype=F64), memory)
+        grown.append(float(memory.numbers[0, 0]))
+    assert grown[1] == pytest.approx(10.0 * grown[0])  # told one run late
+
+
+@pytest.mark.parametrize("airmode", [0, 1, 2])
+@pytest.mark.parametrize("num_rotors", [4, 6])
+def test_the_warp_twin_mixes_alike(airmode: int, num_rotors: int) -> None:
+    """1,000 random commands, many of them beyond limits, to rounding; six motors have random parts, weak ones among them."""
+    g = torch.Generator().manual_seed(num_rotors)
+    columns = QUADROTOR.to(F64)
+    if num_rotors == 6:
+        columns = torch.cat((torch.rand(6, 3, generator=g, dtype=F64) * 2 - 1, torch.ones(6, 1, dtype=F64)), dim=-1)
+    wanted = torch.rand(1000, 4, generator=g, dtype=F64) * torch.tensor([1.0, 1, 1, 1.1]) - torch.tensor(
+        [0.5, 0.5, 0.5, 0]
+    )
+    wanted = wanted.float().to(F64)
+    columns = columns.float().to(F64)
+    exact = mix(columns.expand(1000, -1, -1), wanted, torch.full((1000, num_rotors), 0.05, dtype=F64), airmode=airmode)
+    types, mixer = rotor_types(num_rotors, False), make_mixer(num_rotors, False, airmode)
+    command_type, vector = types.command, types.vector
+    params, full = command_type(), 8.0
+    params.low, params.high = vector(*[0.05 * full] * num_rotors), vector(*[full] * num_rotors)
+    rows = torch.zeros(num_rotors, 6, dtype=F64)
+    rows[:, 2:] = full * columns[:, [3, 0, 1, 2]]
+    params.allocation = type(params.allocation)(*rows.flatten().tolist())
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def mix_all(
+        params: command_type, wanted: wp.array[wp.vec4], thrust: wp.array[vector], signs: wp.array[wp.vec3]
+    ):  # pragma: no cover
+        k = wp.tid()
+        torque = wp.vec3(wanted[k][0], wanted[k][1], wanted[k][2])
+        found, missing = mixer(params, wp.vec3(1.0, 1.0, 1.0), 1.0, torque, wanted[k][3])
+        thrust[k] = found
+        signs[k] = missing
+
+    thrust, signs = wp.zeros(1000, dtype=vector, device="cpu"), wp.zeros(1000, dtype=wp.vec3, device="cpu")
+    wp.launch(
+        mix_all, 1000, [params, wp.array(wanted.numpy(), dtype=wp.vec4, device="cpu"), thrust, signs], device="cpu"
+    )
+    torch.testing.assert_close(wp.to_torch(thrust).to(F64) / full, exact.signal, atol=2e-6, rtol=0)
+    assert ((wp.to_torch(signs).to(F64) - exact.short).abs().amax(-1) > 0).sum() <= 2  # at an edge rounding decides
+    assert (exact.short != 0.0).any(-1).double().mean() > 0.2
+
+
+def test_another_airmode_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"MC_AIRMODE = 3: must be 0, 1 or 2"):
+        Px4Cfg(MC_AIRMODE=3)
