@@ -1,0 +1,205 @@
+"""Where a robot overlaps obstacles: the deepest pairs of its shapes and their parts, as Warp code.
+
+Spheres, corners of boxes and ends of capsules push as spheres do. Of boxes and capsules the deepest pair pushes as well where
+it is none of these (an edge across an edge, a pole against a face), and so do the corners of box obstacles that are in a box.
+Frames: world of each environment, z up; shapes in the frame of what carries them.
+Letters: E environments, A instances, C spheres.
+"""
+
+import warp as wp
+
+from aerial_gym.assets import Scene
+from aerial_gym.assets.body_shapes import BodyShape, Core, Nearest, as_box, nearest_of_core
+from aerial_gym.assets.geometry import BOX, Shape, outward_normal, signed_distance
+from aerial_gym.assets.scene_arrays import SceneArrays, part_attitude, part_is_present, part_position
+from aerial_gym.assets.views import vector_view
+from aerial_gym.physics.fused.contact import point_velocity, rows_of
+from aerial_gym.physics.fused.functions import rotate
+from aerial_gym.physics.fused.types import vector_of
+
+MAX_CONTACTS = 8
+"""Pairs of sphere and part that push in one step; of more, the deepest."""
+
+_gaps_type, _rows_type = vector_of(MAX_CONTACTS), rows_of(MAX_CONTACTS)
+
+
+@wp.struct
+class TouchingPairs:
+    """Pairs of sphere and part that overlap, as ``make_velocity_change`` takes them."""
+
+    gaps: _gaps_type  # [m], 0 where there is none
+    levers: _rows_type  # [m] world
+    normals: _rows_type  # world
+    surface_vels: _rows_type  # [m/s] world
+
+
+@wp.struct
+class SceneMotion:
+    """How obstacles move."""
+
+    lin_vel: wp.array2d[wp.vec3]  # (E, A) of the instance's origin, world [m/s]
+    ang_vel: wp.array2d[wp.vec3]  # (E, A) world [rad/s]
+
+
+@wp.func
+def _shallowest(pairs: TouchingPairs) -> int:
+    """Return the entry of the smallest overlap, an empty one if there is any."""
+    found = wp.int32(0)
+    for i in range(1, MAX_CONTACTS):
+        if pairs.gaps[i] > pairs.gaps[found]:
+            found = i
+    return found
+
+
+CORNER = wp.constant(1.0e-3)
+"""Share of half an edge within which a point is taken for the corner, which pushes anyway."""
+
+
+@wp.func
+def _is_corner(core: Core, point: wp.vec3) -> wp.bool:
+    own = wp.quat_rotate_inv(core.turn, point - core.center)
+    is_corner = wp.bool(True)
+    for i in range(3):
+        is_corner = is_corner and wp.abs(own[i]) >= (1.0 - CORNER) * core.half[i]
+    return is_corner
+
+
+@wp.func
+def _nth_of_core(shape: Shape, core: Core, radius: float, number: int) -> Nearest:
+    """Return corner 0 to 7 of a box obstacle in a box, or as number 8 the deepest pair of all; without any the distance is 0.
+
+    The distance is that of the surfaces [m]; of a capsule the point is on its surface.
+    """
+    found = Nearest()
+    found.distance = radius
+    if number < 8:
+        if shape.kind != BOX or wp.min(core.half) <= 0.0:
+            found.distance = 0.0
+            return found
+        corner = wp.cw_mul(
+            wp.vec3(
+                wp.where((number & 1) == 0, 1.0, -1.0),
+                wp.where((number & 2) == 0, 1.0, -1.0),
+                wp.where((number & 4) == 0, 1.0, -1.0),
+            ),
+            shape.size,
+        )
+        box = as_box(core)
+        own = wp.quat_rotate_inv(core.turn, corner - core.center)
+        found.distance = wp.min(signed_distance(box, own), 0.0)
+        found.point = corner
+        found.normal = -wp.quat_rotate(core.turn, outward_normal(box, own))
+        return found
+    found = nearest_of_core(shape, core, radius)
+    is_known = found.distance >= radius or _is_corner(core, found.point)
+    if shape.kind == BOX and wp.min(core.half) > 0.0:
+        other = Core()
+        other.turn = wp.quat_identity()
+        other.half = shape.size
+        is_known = is_known or _is_corner(other, found.point)
+    found.distance = wp.where(is_known, 0.0, found.distance - radius)
+    found.point = found.point - radius * found.normal
+    return found
+
+
+@wp.func
+def add_cores(
+    pairs: TouchingPairs,
+    scene: SceneArrays,
+    motion: SceneMotion,
+    body: wp.array[BodyShape],
+    com: wp.vec3,
+    env: int,
+    center_of_mass: wp.vec3,
+    attitude: wp.quat,
+) -> TouchingPairs:
+    """Return the pairs with those of boxes and capsules that are not between contact points and obstacles."""
+    part = wp.int32(0)
+    while part < scene.num_solid:
+        a = scene.part_instance[env, part]
+        if a >= 0 and part_is_present(scene, env, part):
+            shape = scene.shapes[scene.part_shape[env, part]]
+            turn = part_attitude(scene, env, part)
+            origin = part_position(scene, env, part)
+            c = wp.int32(0)
+            while c < body.shape[0]:
+                own = body[c]
+                away = center_of_mass + rotate(attitude, own.center - com) - origin
+                if own.reach > own.radius and wp.length(away) - scene.radius[env, part] < own.reach:
+                    core = Core()
+                    core.center = wp.quat_rotate_inv(turn, away)
+                    core.turn = wp.quat_inverse(turn) * attitude * own.attitude
+                    core.half = own.half
+                    number = wp.int32(0)
+                    while number < 9:
+                        found = _nth_of_core(shape, core, own.radius, number)
+                        i = _shallowest(pairs)
+                        if found.distance < pairs.gaps[i]:
+                            place = origin + wp.quat_rotate(turn, found.point)
+                            arm = place - scene.position[env, a]
+                            pairs.gaps[i] = found.distance
+                            pairs.levers[i] = place - center_of_mass
+                            pairs.normals[i] = wp.quat_rotate(turn, found.normal)
+                            pairs.surface_vels[i] = motion.lin_vel[env, a] + wp.cross(motion.ang_vel[env, a], arm)
+                        number += 1
+                c += 1
+        part += 1
+    return pairs
+
+
+@wp.func
+def find_pairs(
+    scene: SceneArrays,
+    motion: SceneMotion,
+    sphere: wp.array[wp.vec4],
+    com: wp.vec3,
+    env: int,
+    center_of_mass: wp.vec3,
+    attitude: wp.quat,
+) -> TouchingPairs:
+    """Return the pairs that overlap, the deepest ``MAX_CONTACTS`` if there are more; instances alone, not the ground."""
+    pairs = TouchingPairs()
+    for part in range(scene.num_solid):
+        a = scene.part_instance[env, part]
+        if a >= 0 and part_is_present(scene, env, part):
+            shape = scene.shapes[scene.part_shape[env, part]]
+            turn = part_attitude(scene, env, part)
+            origin = part_position(scene, env, part)
+            for c in range(sphere.shape[0]):
+                radius = sphere[c][3]
+                offset = rotate(attitude, wp.vec3(sphere[c][0], sphere[c][1], sphere[c][2]) - com)
+                away = center_of_mass + offset - origin
+                if wp.length(away) - scene.radius[env, part] < radius:
+                    local = wp.quat_rotate_inv(turn, away)
+                    gap = signed_distance(shape, local) - radius
+                    i = _shallowest(pairs)
+                    if gap < pairs.gaps[i]:
+                        normal = wp.quat_rotate(turn, outward_normal(shape, local))
+                        lever = offset - radius * normal
+                        arm = center_of_mass + lever - scene.position[env, a]
+                        pairs.gaps[i] = gap
+                        pairs.levers[i] = lever
+                        pairs.normals[i] = normal
+                        pairs.surface_vels[i] = motion.lin_vel[env, a] + wp.cross(motion.ang_vel[env, a], arm)
+    return pairs
+
+
+@wp.func
+def come_fast(pairs: TouchingPairs, lin_vel: wp.vec3, turn: wp.vec3, least_approach: float) -> wp.bool:
+    """Return whether any pair overlaps that comes together at a speed [m/s] or faster.
+
+    ``lin_vel`` is that of the point from which levers are counted, ``turn`` the angular velocity, both world.
+    """
+    found = wp.bool(False)
+    for i in range(MAX_CONTACTS):
+        approach = wp.dot(pairs.normals[i], pairs.surface_vels[i] - point_velocity(lin_vel, turn, pairs.levers[i]))
+        found = found or (pairs.gaps[i] < 0.0 and approach >= least_approach)
+    return found
+
+
+def scene_motion(scene: Scene) -> SceneMotion:
+    """Return views of how the instances of a scene move."""
+    motion, size = SceneMotion(), (scene.num_envs, scene.num_instances, 3)
+    motion.lin_vel = vector_view("lin_vel", scene.asset_state[..., 7:10], size, device=scene.device)
+    motion.ang_vel = vector_view("ang_vel", scene.asset_state[..., 10:13], size, device=scene.device)
+    return motion
