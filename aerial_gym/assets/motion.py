@@ -108,6 +108,12 @@ def _set_twists(
     obstacles_out.ang_vel[env, a] = wp.vec3(twist[env, a, 3], twist[env, a, 4], twist[env, a, 5])
 
 
+def moving_on(obstacles: Obstacles, dt: float) -> RecordedLaunch:
+    """Return the launch that moves everything by ``dt`` [s]."""
+    device = wp.device_from_torch(wp.to_torch(obstacles.asset).device)
+    return RecordedLaunch(_advance, dim=obstacles.asset.shape, inputs=[dt], outputs=[obstacles], device=device)
+
+
 class Motion:
     """Moves obstacles, with all views made at construction."""
 
@@ -122,7 +128,7 @@ class Motion:
         check_tensor("twists", twists, shape, device=twists.device, dtype=torch.float32)
         self._twists, self._kept_alive, dim = twists, obstacles, obstacles.asset.shape
         device = wp.device_from_torch(twists.device)
-        self._advance = RecordedLaunch(_advance, dim=dim, inputs=[0.0], outputs=[obstacles], device=device)
+        self._advance = moving_on(obstacles, 0.0)
         self._take = RecordedLaunch(
             _set_twists, dim=dim, inputs=[wp.from_torch(twists)], outputs=[obstacles], device=device
         )

@@ -115,6 +115,15 @@ class Scene:
         """Number of parts P for which an environment has room."""
         return self._part_shape.shape[1]
 
+    def carried(self) -> tuple[tuple[PartCfg, ...], Tensor, Tensor]:
+        """Return every part that instances may have, and which an environment has: views that follow ``relabel``.
+
+        Returns:
+            The parts; rows of these, -1 where there is none, and the instances that carry them, both int32, (E, P).
+        """
+        slots = slice(None, self._num_carried)
+        return self.shape_table.parts[: self._num_rows], self._part_shape[:, slots], self._part_instance[:, slots]
+
     def relabel(self, shape_index: Tensor, semantic_id: Tensor) -> None:
         """Give the instances other shapes of their groups, in place: what reads the scene goes on. Waits for the device.
 
@@ -156,7 +165,7 @@ class Scene:
         """Make room for parts of instances, and write behind them those that belong to none, the last of the shape table."""
         first, total = len(self.shape_table.parts) - len(carriers), len(self.shape_table.parts)
         size = (self.num_envs, num_parts + total - first)
-        self._num_carried = num_parts
+        self._num_carried, self._num_rows = num_parts, first
         self._part_shape, self._part_instance, self._part_semantic = (
             torch.zeros(size, dtype=torch.int32, device=self.device) for _ in range(3)
         )

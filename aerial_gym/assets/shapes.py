@@ -55,7 +55,7 @@ class ShapeTable:
         for row, part, color in zip(rows, self.parts, inherited, strict=True):
             cfg = part.shape
             looks.add(cfg, inherited=color, mesh=self._mesh(cfg).look if cfg.kind == "mesh" else None)
-            row["kind"], row["size"] = _KINDS[cfg.kind], _half_size(cfg)
+            row["kind"], row["size"] = _KINDS[cfg.kind], half_size(cfg)
             row["radius"], row["half"] = _MARGIN * _bounding_radius(cfg), _half_box(cfg)
             row["position"] = part.position
             row["attitude"] = quat_from_euler(torch.tensor(part.euler, dtype=torch.float64)).numpy()
@@ -155,14 +155,22 @@ def _join(pieces: Sequence["trimesh.Trimesh"], *, scale: float) -> "trimesh.Trim
     return mesh
 
 
-def _half_size(cfg: ShapeCfg) -> tuple[float, float, float]:
+def is_convex(mesh: "trimesh.Trimesh") -> bool:
+    """Return whether a mesh is one closed body that holds every line between two of its points."""
+    merged = mesh.copy()
+    merged.merge_vertices()
+    return bool(merged.is_watertight and merged.is_convex and merged.body_count == 1)
+
+
+def half_size(cfg: ShapeCfg) -> tuple[float, float, float]:
+    """Return half the edges of a box [m], or the radius and half the height of what has them; 0 for what it has not."""
     if cfg.size is not None:
         return 0.5 * cfg.size[0], 0.5 * cfg.size[1], 0.5 * cfg.size[2]
     return cfg.radius or 0.0, 0.5 * (cfg.height or 0.0), 0.0
 
 
 def _half_box(cfg: ShapeCfg) -> tuple[float, float, float]:
-    a, b, c = _half_size(cfg)
+    a, b, c = half_size(cfg)
     if cfg.kind == "box":
         return a, b, c
     if cfg.kind == "plane":
@@ -171,7 +179,7 @@ def _half_box(cfg: ShapeCfg) -> tuple[float, float, float]:
 
 
 def _bounding_radius(cfg: ShapeCfg) -> float:
-    a, b, c = _half_size(cfg)
+    a, b, c = half_size(cfg)
     if cfg.kind == "plane":
         return inf
     if cfg.kind == "box":

@@ -123,6 +123,7 @@ class EnvManager:
             contact=env.contact,
             scene=scene,
             moving=self.asset_manager.moving,
+            links=links,
             hook=trajectory,
         )
         self.robot_manager = RobotManager(

@@ -43,7 +43,7 @@ class Capabilities:
     """Whether bodies can hang on joints."""
 
     contact_of_links: bool = False
-    """Whether the ground can push back on bodies that hang on joints, and these on each other."""
+    """Whether ground and obstacles can push back on bodies that hang on joints, and these on each other."""
 
 
 class ControlLaw(Protocol):

@@ -47,7 +47,7 @@ class Needs:
     """Whether bodies hang on joints."""
 
     contact_of_links: bool = False
-    """Whether these are pushed by the ground, or by each other."""
+    """Whether these are pushed by the ground, by obstacles, or by each other."""
 
 
 def needs_of(robot: RobotCfg, device: torch.device, **others: object) -> Needs:

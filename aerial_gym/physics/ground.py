@@ -13,6 +13,7 @@ from aerial_gym.math.quaternion import quat_rotate
 from aerial_gym.physics.contact import Contacts, push
 from aerial_gym.physics.integrators import MassState
 from aerial_gym.physics.model import Model
+from aerial_gym.physics.solids import Solids
 from aerial_gym.physics.state import BodyState
 
 
@@ -44,10 +45,13 @@ class LinkShapes:
     """Link of each sphere that can touch the ground, the base being 0, (C,)."""
 
     shapes: tuple[LinkShape, ...] = ()
-    """Shapes that can touch each other."""
+    """Shapes that can touch each other, or obstacles."""
 
     pairs: tuple[tuple[int, int], ...] = ()
     """Places in ``shapes`` of those that push each other."""
+
+    solids: Solids | None = None
+    """The obstacles that push ``shapes``; None where there are none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +59,7 @@ class Ground:
     """A horizontal plane and what of the vehicle can touch it."""
 
     height: float
-    """Of the plane [m], world."""
+    """Of the plane [m], world; minus infinity where obstacles alone push a vehicle that bends."""
 
     spheres: Tensor
     """Centres in the body frame and radii [m], (C, 4)."""

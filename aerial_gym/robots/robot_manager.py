@@ -9,15 +9,13 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from aerial_gym.assets.body_shapes import contact_points
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.config.shape import BASE
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import Controller, make_controller
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.errors import CapabilityError, ConfigError, ShapeError
+from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.interop.rows import MaskedRows
 from aerial_gym.math.random import Randomness, take_mask
 from aerial_gym.physics import (
@@ -30,7 +28,6 @@ from aerial_gym.physics.articulated.articulation import articulation_of
 from aerial_gym.physics.capabilities import choose_backend, needs_of
 from aerial_gym.physics.effects import EffectsByKind, ImuEffect
 from aerial_gym.physics.effects.imu_errors import WIDTH, imu_errors
-from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model, check_effects, robot_effects
 from aerial_gym.physics.rotors import hover_speed
 from aerial_gym.physics.state import JointedState
@@ -42,11 +39,10 @@ from aerial_gym.robots.felt_scene import declare_felt_scene
 from aerial_gym.robots.hung_load import hung_load
 from aerial_gym.robots.initial_state import InitialState, StepBegin
 from aerial_gym.robots.joints.states import JointStates
-from aerial_gym.robots.joints.touching import shapes_on_links
 from aerial_gym.robots.noticed import Noticed
 from aerial_gym.robots.parameter_draws import drawing
+from aerial_gym.robots.pushed_robot import Pushing
 from aerial_gym.robots.randomized import Followed, Randomized, with_drawn_effects
-from aerial_gym.robots.scene_contact import PushedRobot, SceneContact
 from aerial_gym.robots.state_keys import RobotTensors, declare_robot_tensors
 from aerial_gym.robots.surroundings import Surroundings
 
@@ -94,8 +90,10 @@ class RobotManager:
         self._com = torch.zeros(self._num_envs, 3, device=gtd.device)
         self.articulation = articulation_of(robot, like=root_state)
         """How it bends; None for a rigid robot."""
-        if self.articulation is not None:
-            self._check_bending(gradients=gradients is not None)
+        if self.articulation is not None and gradients is not None:
+            raise CapabilityError(
+                "a robot with joints: no gradients through the environment. Leave out differentiable=True"
+            )
         pushed = around.contact is not None
         asked = {
             "integrator": sim.integrator,
@@ -121,17 +119,14 @@ class RobotManager:
             )
         self._declare_model()
         self._randomized = self._make_randomized(randomize or {})
-        spheres, self._on_links = contact_points(robot.collision.on(BASE), device=gtd.device), None
-        if pushed and robot.joints is not None:
-            spheres, self._on_links = shapes_on_links(robot, device=gtd.device)
-        self._contact_force = self._declare_contact(spheres)
+        self._pushing = Pushing(robot, gtd, around)
         self._load = hung_load(gtd, self._effects, self.tensors.state)
         self.backend.allocate(
             self._build_model(),
             self.controller,
             integrator=sim.integrator,
-            ground=self._make_ground(spheres),
-            hook=self._make_scene_contact(spheres) or around.hook,
+            ground=self._pushing.ground(),
+            hook=self._pushing.hook(self.tensors.state, sim, mass=self._mass, inertia=self._inertia, com=self._com),
             random=random,
         )
         self.backend.prepare(sim.dt)
@@ -186,67 +181,6 @@ class RobotManager:
         scene, gradients = self._around.scene, self.differentiable is not None
         obstacles = scene is not None and scene.num_instances > 0
         self.felt = declare_felt_scene(gtd, self._effects, obstacles=obstacles, gradients=gradients)
-
-    def _check_bending(self, *, gradients: bool) -> None:
-        """Raise ``CapabilityError`` for what a robot with joints cannot have, whatever the backend."""
-        around = self._around
-        if gradients:
-            raise CapabilityError(
-                "a robot with joints: no gradients through the environment. Leave out differentiable=True"
-            )
-        if around.contact is not None and around.scene is not None and around.scene.num_instances:
-            raise CapabilityError(
-                "a robot with joints: obstacles do not push back on it. Leave contact out of the environment, or its obstacles"
-            )
-
-    def _make_ground(self, spheres: Tensor) -> Ground | None:
-        around = self._around
-        if around.ground_height is None:
-            return None
-        return Ground(
-            height=around.ground_height,
-            spheres=spheres,
-            contact=around.crashes,
-            cfg=around.contact,
-            impulse=self._contact_force,
-            on_links=self._on_links,
-        )
-
-    def _make_scene_contact(self, spheres: Tensor) -> SceneContact | None:
-        scene, contact = self._around.scene, self._around.contact
-        if self._contact_force is None or contact is None or scene is None or not scene.num_instances:
-            return None
-        return SceneContact(
-            scene,
-            contact,
-            PushedRobot(
-                mass=self._mass,
-                inertia=self._inertia,
-                com=self._com,
-                spheres=spheres,
-                shapes=self.cfg.collision.shapes,
-            ),
-            self.tensors.state,
-            integrator=self._sim.integrator,
-            dt=self._sim.dt,
-            crashes_out=self._around.crashes,
-            impulse_out=self._contact_force,
-            moving=self._around.moving,
-        )
-
-    def _declare_contact(self, spheres: Tensor) -> Tensor | None:
-        """Declare the contact force where there is one."""
-        if self._around.contact is None:
-            return None
-        if not len(spheres):
-            raise ConfigError(
-                "the environment asks for contact, but this robot has no collision shape. Give its file "
-                "collision: {boxes: [{size: [...]}]}, or spheres, or capsules"
-            )
-        return self._gtd.declare(TensorSpec(
-            key="robot_contact_force", shape=("E", 3), unit="N", frame="world", owner="physics",
-            meaning="mean force of ground and obstacles on the robot over the step",
-        ))  # fmt: skip
 
     @property
     def action_names(self) -> tuple[str, ...]:
@@ -409,8 +343,8 @@ class RobotManager:
         self._begin.take(actions)
         if self.differentiable is not None:
             self.differentiable.act(actions)
-        if self._contact_force is not None:
-            self._contact_force.zero_()
+        if self._pushing.force is not None:
+            self._pushing.force.zero_()
 
     def advance(self, substeps: int) -> None:
         """Advance the physics by ``substeps`` with the stored action held; obstacles that push back move and push between."""
@@ -424,8 +358,8 @@ class RobotManager:
         self._show_load()
         if self._joints is not None:
             self._joints.refresh()
-        if self._contact_force is not None:
-            self._contact_force.div_(span)  # impulses until now
+        if self._pushing.force is not None:
+            self._pushing.force.div_(span)  # impulses until now
 
     def reset(self, mask: Tensor) -> None:
         """Draw a new initial state, and new parameters where randomised, for the environments in ``mask``, bool (E,)."""

@@ -8,6 +8,7 @@ from aerial_gym.assets import Scene
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.physics import SubstepHook
+from aerial_gym.robots.joints.links import LinkTensors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +35,9 @@ class Surroundings:
 
     moving: "Obstacles | None" = None
     """Its instances as they move; None if nothing moves."""
+
+    links: LinkTensors | None = None
+    """Where the links of a robot that bends are; None for a rigid one."""
 
     hook: SubstepHook | None = None
     """Follows the robot from substep to substep, where there is no contact with obstacles."""

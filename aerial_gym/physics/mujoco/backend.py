@@ -66,6 +66,8 @@ class MujocoBackend(TorchBackend):
         super().prepare(dt)
         if self._model.articulation is None:
             self._bodies_for(self._model, dt)
+        else:
+            self.tree_stepper(self._model, dt)
 
     def make_stepper(self, integrator: str) -> Stepper:
         """Return the one that hands the wrench to MuJoCo; raise ``MissingDependencyError`` where that is not installed."""
@@ -129,13 +131,15 @@ class MujocoBackend(TorchBackend):
     def _bend_on_ground(
         self, ground: Ground, cfg: ContactCfg, state: JointedState, command: Tensor, dt: float
     ) -> tuple[MassState, BodyState, Tensor, Tensor]:
-        """Return the same of a vehicle that bends; a touch is a crash by the speed of the sphere's lowest point before it."""
+        """Return the same of a vehicle that bends, with the impulse of obstacles.
+
+        A touch of the ground is a crash by the speed of the sphere's lowest point before it.
+        """
         after = self._jointed_substep(state, command, dt)
         assert self._trees is not None
-        gap, approach = sphere_gaps(ground, self._model, state)
-        impulse = torch.where((gap < 0.0).any(dim=1, keepdim=True), self._trees.impulse.to(gap.dtype), 0.0)
+        _, approach = sphere_gaps(ground, self._model, state)
         gap, _ = sphere_gaps(ground, self._model, after)
-        return to_mass_state(self._model, state), after, impulse, is_crash(gap, approach, cfg)
+        return to_mass_state(self._model, state), after, self._trees.impulse.to(gap.dtype), is_crash(gap, approach, cfg)
 
 
 class MujocoWarpBackend(MujocoBackend):

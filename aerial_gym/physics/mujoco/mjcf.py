@@ -1,17 +1,21 @@
 """Trees of links as MuJoCo reads them (MJCF); a rigid vehicle is a tree without joints.
 
 Names: bodies ``link0`` (the base), ``link1``, ...; joint k, ``joint0``, ..., moves link k + 1.
-Frames: a body's origin is the link's; the base of a floating tree has a free joint. Letters: E environments.
+Frames: a body's origin is the link's; the base of a floating tree has a free joint, that of one on a stand is a mocap body,
+which stands where it is told to. Letters: E environments.
 Source: https://mujoco.readthedocs.io/en/stable/XMLreference.html
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 from aerial_gym.physics.articulated.tree import Links, Tree
 from aerial_gym.physics.ground import LinkShapes
+from aerial_gym.physics.mujoco.solid_bodies import ON_LINKS, TOLERANCE, add_solids, numbers
+from aerial_gym.physics.solids import Solids
 
 _JOINT_TYPES = {"revolute": "hinge", "prismatic": "slide"}
 
@@ -27,7 +31,7 @@ class Floor:
     """A horizontal plane and what of the base can touch it."""
 
     height: float
-    """Of the plane [m], world."""
+    """Of the plane [m], world; minus infinity where there is none."""
 
     spheres: Sequence[Sequence[float]]
     """Centres x, y, z in the axes of the base and radii [m]; a radius of zero is a point."""
@@ -36,7 +40,12 @@ class Floor:
     """Coulomb coefficient."""
 
     on_links: LinkShapes | None = None
-    """Of a vehicle that bends: on which link each sphere is, and what of them pushes each other."""
+    """Of a vehicle that bends: on which link each sphere is, what of them pushes each other, and what stands around."""
+
+    @property
+    def solids(self) -> Solids | None:
+        """The obstacles that push links; None without any."""
+        return None if self.on_links is None else self.on_links.solids
 
 
 def write_mjcf(
@@ -58,26 +67,25 @@ def write_mjcf(
         tree: How links hang together.
         links: What they weigh. MuJoCo takes no moving link without mass, and no inertia whose largest principal moment is more
             than the sum of the others.
-        env: Whose row of ``links`` is written.
+        env: Whose row of ``links`` is written, and whose obstacles.
         gravity: Downward acceleration of free fall [m/s²].
         dt: Time step [s].
         integrator: Of MuJoCo's: ``Euler`` (semi-implicit), ``RK4``, ``implicit``, ``implicitfast``.
         floor: What can be touched.
         actuated: Whether controls push: force and torque of each link at its origin, in its axes, (L, 6), then the efforts of
-            joints, (D,).
+            joints, (D,). With a floor there are sensors as well: what all links together push on the ground and on each part.
     """
     root = Element("mujoco")
     SubElement(root, "compiler", boundmass="0", boundinertia="0", balanceinertia="false")
-    option = SubElement(
-        root, "option", timestep=repr(dt), integrator=integrator, gravity=_numbers((0.0, 0.0, -gravity))
-    )
+    option = SubElement(root, "option", timestep=repr(dt), integrator=integrator, gravity=numbers((0.0, 0.0, -gravity)))
     flags = {"warmstart": "disable"}  # a step depends on nothing but its state
     world = SubElement(root, "worldbody")
     if floor is None:
         flags |= {"contact": "disable", "constraint": "disable"}
     else:
         option.attrib |= {"cone": "elliptic", "impratio": repr(IMPEDANCE_RATIO)}
-        SubElement(world, "geom", type="plane", size="0 0 1", pos=_numbers((0.0, 0.0, floor.height)))
+        if isfinite(floor.height):
+            SubElement(world, "geom", name="ground", type="plane", size="0 0 1", pos=numbers((0.0, 0.0, floor.height)))
         _set_friction(root, floor.friction)
     SubElement(option, "flag", flags)
     bodies = [_add_body(world, tree, 0, links, env)]
@@ -85,17 +93,23 @@ def write_mjcf(
         bodies.append(_add_body(bodies[joint.parent], tree, k + 1, links, env))
     if floor is not None:
         _add_shapes(root, floor, bodies)
+        if floor.solids is not None:
+            add_solids(root, world, floor.solids, env)
+            if floor.solids.moves:
+                option.set("tolerance", repr(TOLERANCE))
     if actuated:
         _add_actuators(root, tree, bodies)
+        if floor is not None:
+            _add_sensors(root, floor)
     return ElementTree.tostring(root, encoding="unicode")
 
 
 def _add_shapes(root: Element, floor: Floor, bodies: Sequence[Element]) -> None:
-    """Let spheres touch the ground and nothing else, and the shapes of pairs each other and nothing else."""
+    """Let spheres touch the ground and nothing else, and shapes the obstacles and in pairs each other, and nothing else."""
     on = floor.on_links
     for place, (x, y, z, radius) in enumerate(floor.spheres):
         body, size = bodies[0 if on is None else on.links[place]], repr(max(radius, LEAST_RADIUS))
-        SubElement(body, "geom", type="sphere", pos=_numbers((x, y, z)), size=size, contype="0")
+        SubElement(body, "geom", type="sphere", pos=numbers((x, y, z)), size=size, contype="0")
     if on is None:
         return
     for place, shape in enumerate(on.shapes):
@@ -103,14 +117,25 @@ def _add_shapes(root: Element, floor: Floor, bodies: Sequence[Element]) -> None:
         kind, size = ("capsule", (shape.radius, along)) if along else ("sphere", (shape.radius,))
         if not shape.radius:
             kind, size = "box", shape.half
-        attributes = {"pos": _numbers(shape.center), "quat": _numbers((w, x, y, z)), "size": _numbers(size)}
+        attributes = {"pos": numbers(shape.center), "quat": numbers((w, x, y, z)), "size": numbers(size)}
+        touches = "0" if on.solids is None else ON_LINKS
         SubElement(
-            bodies[shape.link], "geom", attributes, name=f"shape{place}", type=kind, contype="0", conaffinity="0"
+            bodies[shape.link], "geom", attributes, name=f"shape{place}", type=kind, contype="0", conaffinity=touches
         )
     contact = SubElement(root, "contact")
     for one, other in on.pairs:
-        friction = _numbers((floor.friction, floor.friction, 0.0, 0.0, 0.0))
+        friction = numbers((floor.friction, floor.friction, 0.0, 0.0, 0.0))
         SubElement(contact, "pair", geom1=f"shape{one}", geom2=f"shape{other}", condim="3", friction=friction)
+
+
+def _add_sensors(root: Element, floor: Floor) -> None:
+    """Measure the force of all links on the ground, and on each part of an obstacle [N], world."""
+    touched = [{"geom2": "ground"}] if isfinite(floor.height) else []
+    if floor.solids is not None:
+        touched += [{"body2": f"part{place}"} for place in range(floor.solids.part.shape[1])]
+    sensors = SubElement(root, "sensor")
+    for other in touched:
+        SubElement(sensors, "contact", {"subtree1": "link0", "data": "force", "reduce": "netforce"} | other)
 
 
 def _add_actuators(root: Element, tree: Tree, bodies: Sequence[Element]) -> None:
@@ -118,7 +143,7 @@ def _add_actuators(root: Element, tree: Tree, bodies: Sequence[Element]) -> None
     for link, body in enumerate(bodies):
         SubElement(body, "site", name=f"link{link}")
         for axis in range(6):
-            gear = _numbers(float(axis == place) for place in range(6))
+            gear = numbers(float(axis == place) for place in range(6))
             SubElement(actuator, "general", site=f"link{link}", gear=gear)
     for k in range(tree.num_joints):
         SubElement(actuator, "general", joint=f"joint{k}")
@@ -131,26 +156,23 @@ def _add_body(parent: Element, tree: Tree, link: int, links: Links, env: int) ->
     if link:
         joint = tree.joints[link - 1]
         x, y, z, w = joint.attitude
-        body.attrib |= {"pos": _numbers(joint.position), "quat": _numbers((w, x, y, z))}
-        SubElement(body, "joint", name=f"joint{link - 1}", type=_JOINT_TYPES[joint.kind], axis=_numbers(joint.axis))
+        body.attrib |= {"pos": numbers(joint.position), "quat": numbers((w, x, y, z))}
+        SubElement(body, "joint", name=f"joint{link - 1}", type=_JOINT_TYPES[joint.kind], axis=numbers(joint.axis))
     elif tree.floating:
         SubElement(body, "freejoint")
+    else:
+        body.set("mocap", "true")
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = links.inertia[env, link].tolist()
     SubElement(
         body,
         "inertial",
-        pos=_numbers(links.com[env, link].tolist()),
+        pos=numbers(links.com[env, link].tolist()),
         mass=repr(float(links.mass[env, link])),
-        fullinertia=_numbers((xx, yy, zz, xy, xz, yz)),
+        fullinertia=numbers((xx, yy, zz, xy, xz, yz)),
     )
     return body
 
 
 def _set_friction(root: Element, friction: float) -> None:
     """Give all shapes a coefficient; MuJoCo takes the larger one of two that touch, and there is no friction of turning."""
-    SubElement(SubElement(root, "default"), "geom", friction=_numbers((friction, 0.0, 0.0)), condim="3")
-
-
-def _numbers(values: Iterable[float]) -> str:
-    """Return numbers in text, to the last digit."""
-    return " ".join(repr(float(value)) for value in values)
+    SubElement(SubElement(root, "default"), "geom", friction=numbers((friction, 0.0, 0.0)), condim="3")

@@ -3,6 +3,8 @@
 Letters: E environments, N rows of parameters: 1 where all environments share them, else E.
 """
 
+from copy import copy
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -33,7 +35,7 @@ class RolloutBodies(Bodies):
         """
         self._floor, self.dt, self.num_rows = floor, dt, len(rows)
         first = compile_body(load("mujoco", backend="mujoco"), floor, cfg, dt)
-        self._rollouts = Rollouts(first, len(rows), num_envs, "mjSTATE_XFRC_APPLIED")
+        self._rollouts = Rollouts([copy(first) for _ in rows], num_envs, "mjSTATE_XFRC_APPLIED")
         self._rows = torch.full_like(rows, torch.nan)
         self.follow(rows)
 

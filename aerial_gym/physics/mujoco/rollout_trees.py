@@ -7,28 +7,29 @@ damping C that the laws have in each state:
 
 MuJoCo's ``Euler`` takes the damping D of a joint so: ``(M + D dt) a = u - h - D q'``. With ``D = C + K dt`` and
 ``u = f + C q'`` it is the same step. Damping of links is no joint's: it is held through a step as other forces on links are,
-and refused where it would turn their motion round. A fixed base is level in MuJoCo and stands still: gravity is turned instead.
-Letters: E environments, L links, D joints.
+and refused where it would turn their motion round. A base on a stand is where its state says, and stands still.
+Letters: E environments, L links, D joints, P parts of obstacles.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.errors import CapabilityError, ShapeError
-from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.physics.articulated.joint_laws import Drive, Effort, JointLaw
 from aerial_gym.physics.articulated.link_damping import LinkDamping
-from aerial_gym.physics.articulated.motion import move_links, moving, place_links
 from aerial_gym.physics.articulated.steppers import moved_on, with_drive
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.mujoco.bodies import LARGEST, load
 from aerial_gym.physics.mujoco.mjcf import Floor, write_mjcf
 from aerial_gym.physics.mujoco.rollouts import Rollouts
 from aerial_gym.physics.mujoco.softness import solver_numbers
+from aerial_gym.physics.mujoco.solid_bodies import check_solids
 
 LEAST_MASS = 1e-9
 """Of links without mass [kg], and the moments of those without inertia [kg m²]: MuJoCo's links have some."""
@@ -38,7 +39,7 @@ class RolloutTrees:
     """A MuJoCo model for each environment, whose ``move`` is a step as ``steppers.implicit_euler`` is."""
 
     impulse: Tensor
-    """Of all contacts with the ground in the last step [N s], world, (E, 3), float64."""
+    """Of ground and obstacles in the last step [N s], world, (E, 3), float64."""
 
     def __init__(
         self, tree: Tree, num_envs: int, dt: float, *, floor: Floor | None = None, cfg: ContactCfg | None = None
@@ -49,27 +50,25 @@ class RolloutTrees:
             tree: How links hang together.
             num_envs: Environments E.
             dt: Length of a step [s].
-            floor: What can be touched, of a floating tree; None for nothing.
+            floor: What can be touched; None for nothing.
             cfg: How it gives way; with a floor.
 
         Raises:
             MissingDependencyError: If MuJoCo is not installed.
-            CapabilityError: If a tree on a stand is to touch something.
+            CapabilityError: If an obstacle has a shape that MuJoCo has not, or a tree on a stand is to touch something.
         """
         if floor is not None and not tree.floating:
             raise CapabilityError(
                 "backend mujoco: no contact of a vehicle on a stand. Leave contact out of the environment"
             )
-        self._touches = floor is not None
-        self.dt, self._tree, shape = dt, tree, (1, tree.num_links)
-        links = Links(mass=torch.ones(shape), com=torch.zeros(*shape, 3), inertia=torch.eye(3).expand(*shape, 3, 3))
-        mujoco = load("mujoco", backend="mujoco")
-        first = mujoco.MjModel.from_xml_string(write_mjcf(tree, links, gravity=0.0, dt=dt, floor=floor, actuated=True))
-        if cfg is not None:
-            first.geom_solref[:], first.geom_solimp[:] = first.pair_solref[:], first.pair_solimp[:] = solver_numbers(
-                cfg, dt
-            )
-        self._rollouts = Rollouts(first, num_envs, num_envs, "mjSTATE_CTRL")
+        self.dt, self._tree, self._floor, self._cfg = dt, tree, floor, cfg
+        self._touches, self._solids = floor is not None, None if floor is None else floor.solids
+        if self._solids is not None:
+            check_solids(self._solids)
+            self._part = self._solids.part.clone()
+        models = self._compile(list(range(num_envs)))
+        held, first = ("mjSTATE_CTRL", "mjSTATE_MOCAP_POS", "mjSTATE_MOCAP_QUAT"), models[0]
+        self._rollouts = Rollouts(list(models.values()), num_envs, *held)
         names = [f"joint{k}" for k in range(tree.num_joints)]
         self._joint_pos = [1 + int(first.joint(name).qposadr[0]) for name in names]
         self._rates = [int(first.joint(name).dofadr[0]) for name in names]
@@ -77,19 +76,55 @@ class RolloutTrees:
         self._places = [int(first.body(f"link{link}").id) for link in range(tree.num_links)]
         self._weights = torch.full((num_envs, 13 * tree.num_links + 3), torch.nan, dtype=torch.float64)
         self._damping = torch.zeros(num_envs, tree.num_joints, dtype=torch.float64)
+        pose, twist = self._rollouts.pose.start, self._rollouts.twist.start
+        self._pose, self._twist = slice(pose, pose + 7), slice(twist, twist + 6)
+        if self._solids is not None and self._solids.moves:
+            count, of_part = self._solids.part.shape[1], first.joint("part0")
+            pose, twist = pose + int(of_part.qposadr[0]), twist + int(of_part.dofadr[0])
+            self._part_poses, self._part_twists = slice(pose, pose + 7 * count), slice(twist, twist + 6 * count)
+        self._rest = self._rollouts.at_rest()
 
-    def _follow(self, links: Links, gravity: Tensor, damping: Tensor) -> None:
-        """Write what has changed into the models; gravity is its acceleration, axes of a fixed base, (E, 3)."""
+    def _compile(self, envs: list[int]) -> dict[int, Any]:
+        """Return the models of some environments, into which weights can be written; each of a kind is read once."""
+        tree, shape = self._tree, (max(envs) + 1, self._tree.num_links)
+        zero, unit = torch.zeros(1).expand(*shape, 3), torch.eye(3).expand(*shape, 3, 3)
+        links = Links(mass=torch.ones(1).expand(shape), com=zero, inertia=unit)
+        mujoco, kinds, found = load("mujoco", backend="mujoco"), {}, {}
+        for env in envs:
+            kind = () if self._solids is None else tuple(self._solids.part[env].tolist())
+            if kind not in kinds:
+                text = write_mjcf(tree, links, env=env, gravity=0.0, dt=self.dt, floor=self._floor, actuated=True)
+                model = kinds[kind] = mujoco.MjModel.from_xml_string(text)
+                if self._cfg is not None:
+                    numbers = solver_numbers(self._cfg, self.dt)
+                    model.geom_solref[:], model.geom_solimp[:] = model.pair_solref[:], model.pair_solimp[:] = numbers
+            found[env] = copy(kinds[kind])
+        return found
+
+    def _renew(self) -> None:
+        """Make the models anew of environments whose obstacles have become others."""
+        if self._solids is None:
+            return
+        changed = (self._solids.part != self._part).any(dim=-1).nonzero().squeeze(-1).tolist()
+        if changed:
+            self._part.copy_(self._solids.part)
+            self._rollouts.replace(self._compile(changed))
+            self._weights[changed] = self._damping[changed] = torch.nan
+
+    def _follow(self, links: Links, gravity: float, damping: Tensor) -> None:
+        """Write what has changed into the models; gravity is how fast what falls gets faster [m/s²]."""
+        self._renew()
+        down = torch.zeros_like(damping[:, :1]).expand(-1, 3) + torch.tensor((0.0, 0.0, -gravity), dtype=damping.dtype)
         every = (links.mass, links.com, links.inertia)
-        mass, com, inertia = (rows.double().expand(len(gravity), *rows.shape[1:]) for rows in every)
-        weights = torch.cat((mass, com.flatten(1), inertia.flatten(1), gravity), dim=1)
+        mass, com, inertia = (rows.double().expand(len(down), *rows.shape[1:]) for rows in every)
+        weights = torch.cat((mass, com.flatten(1), inertia.flatten(1), down), dim=1)
         changed = (weights != self._weights).any(dim=-1).nonzero().squeeze(-1).tolist()
         if changed:
             self._weights[changed] = weights[changed]
             some = LEAST_MASS * torch.eye(3, dtype=inertia.dtype)
             inertia = torch.where((inertia == 0.0).flatten(2).all(-1)[..., None, None], some, inertia)[changed]
             mass = mass[changed].clamp_min(LEAST_MASS)
-            self._rollouts.write_bodies(changed, self._places, mass, com[changed], inertia, gravity[changed])
+            self._rollouts.write_bodies(changed, self._places, mass, com[changed], inertia, down[changed])
             self._rollouts.settle(changed)
             if self._touches:
                 self._rollouts.refer_contacts_to(changed, self._places, mass.sum(dim=-1))
@@ -125,35 +160,28 @@ class RolloutTrees:
         if damping is not None:
             _check_held(links, damping, dt)
             wrench = wrench + damping.held(links)
-        end = with_drive(partial(self._step, links, state, gravity, wrench), laws, drive, friction, state)
-        if self._touches:
-            self.impulse = self._of_contacts(links, state, gravity)
-        return end
+        return with_drive(partial(self._step, links, state, gravity, wrench), laws, drive, friction, state)
 
-    def _of_contacts(self, links: Links, state: TreeState, gravity: float) -> Tensor:
-        """Return what the momentum of all links gained beyond wrench and gravity in the last step [N s], world, (E, 3)."""
-        tree, dt, rate = self._tree, self.dt, self._rollouts.twist.start
-        start, end = self._rollouts.start, self._rollouts.end
-        attitude, mass = state.attitude.double(), links.mass.double().clamp_min(LEAST_MASS).unsqueeze(-1)
-        wide = Links(**{name: values.double() for name, values in vars(links).items()})
-        places = place_links(tree, wide, start[:, self._joint_pos])
-        lin_vel, ang_vel = quat_rotate_inverse(attitude, start[:, rate : rate + 3]), start[:, rate + 3 : rate + 6]
-        motion = move_links(tree, places, lin_vel, ang_vel, start[:, self._joint_vel])
-        gained = (end - start) / dt
-        acc = torch.cat(
-            (
-                quat_rotate_inverse(attitude, gained[:, rate : rate + 3]),
-                gained[:, rate + 3 : rate + 6],
-                gained[:, self._joint_vel],
-            ),
-            dim=-1,
-        )
-        com_acc = motion.com_acc + (moving(tree, places, places.com) @ acc[:, None, :, None]).squeeze(-1)
-        push = self._rollouts.control[:, : 6 * tree.num_links].unflatten(-1, (tree.num_links, 6))[..., :3]
-        applied = (places.rotation @ push.unsqueeze(-1)).squeeze(-1).sum(1)
-        beyond = quat_rotate(attitude, (mass * com_acc).sum(1) - applied)
-        beyond[:, 2] += gravity * mass.sum(1)[:, 0]
-        return dt * beyond
+    def _start_of(self, state: TreeState, swings: TreeState) -> tuple[Tensor, Tensor]:
+        """Return where a step begins in MuJoCo, (E, 1 + nq + nv), and M mocap bodies: places, then attitudes wxyz, (E, 7 M)."""
+        start = torch.zeros_like(self._rollouts.start)
+        start[:, self._joint_pos], start[:, self._joint_vel] = state.joint_pos.double(), swings.joint_vel.double()
+        places, turns = [start[:, :0]], [start[:, :0]]
+        if self._tree.floating:
+            start[:, self._pose] = torch.cat((state.position, _wxyz(state.attitude)), dim=-1).double()
+            start[:, self._twist] = torch.cat((state.lin_vel, swings.ang_vel), dim=-1).double()
+        else:
+            places.append(state.position.double())
+            turns.append(_wxyz(state.attitude).double())
+        if self._solids is not None:
+            place, attitude, lin_vel, ang_vel = self._solids.of_parts()
+            if self._solids.moves:
+                start[:, self._part_poses] = torch.cat((place, _wxyz(attitude)), dim=-1).flatten(1)
+                start[:, self._part_twists] = torch.cat((lin_vel, ang_vel), dim=-1).flatten(1)
+            else:
+                places.append(place.flatten(1))
+                turns.append(_wxyz(attitude).flatten(1))
+        return start, torch.cat((*places, *turns), dim=-1)
 
     def _step(
         self, links: Links, state: TreeState, gravity: float, wrench: Tensor, acts: Effort, swings: TreeState
@@ -165,34 +193,28 @@ class RolloutTrees:
         """
         if self._touches:
             swings = state
-        tree, dt = self._tree, self.dt
+        dt = self.dt
         damping = (acts.damping + dt * acts.stiffness).double()
         held = acts.value - dt * acts.stiffness * state.joint_vel + damping * swings.joint_vel
-        push = torch.cat((wrench.flatten(1), held), dim=-1).double()
-        start = torch.zeros_like(self._rollouts.start)
-        start[:, self._joint_pos], start[:, self._joint_vel] = state.joint_pos.double(), swings.joint_vel.double()
-        if tree.floating:
-            pose, rate = self._rollouts.pose.start, self._rollouts.twist.start
-            start[:, pose : pose + 7] = torch.cat((state.position, state.attitude.roll(1, dims=-1)), dim=-1).double()
-            start[:, rate : rate + 6] = torch.cat((state.lin_vel, swings.ang_vel), dim=-1).double()
-        sane = (torch.cat((start, push, damping), dim=-1).abs() < LARGEST).all(dim=-1, keepdim=True)
-        rest = torch.zeros_like(start[:1])
-        if tree.floating:
-            rest[:, self._rollouts.pose.start + 3] = 1.0
-        self._rollouts.start.copy_(torch.where(sane, start, rest))
-        self._rollouts.control.copy_(torch.where(sane, push, 0.0))
-        down = torch.zeros_like(start[:, :3])
-        down[:, 2] = -gravity
-        if not tree.floating:
-            down = quat_rotate_inverse(state.attitude.double(), down)
-        self._follow(links, torch.where(sane, down, 0.0), torch.where(sane, damping, 0.0))
+        start, places = self._start_of(state, swings)
+        control = torch.cat((wrench.flatten(1).double(), held.double(), places), dim=-1)
+        sane = (torch.cat((start, control, damping), dim=-1).abs() < LARGEST).all(dim=-1, keepdim=True)
+        self._rollouts.start.copy_(torch.where(sane, start, self._rest[0]))
+        self._rollouts.control.copy_(torch.where(sane, control, self._rest[1]))
+        self._follow(links, gravity, torch.where(sane, damping, 0.0))
         self._rollouts.step()
+        self.impulse = torch.where(sane, -dt * self._rollouts.sensed.unflatten(-1, (-1, 3)).sum(1), 0.0)
         end = torch.where(sane, self._rollouts.end, torch.nan).to(state.position.dtype)
         lin_vel, ang_vel = torch.zeros_like(state.lin_vel), torch.zeros_like(state.ang_vel)
-        if tree.floating:
-            twist = end[:, rate : rate + 6]
-            lin_vel, ang_vel = twist[:, :3], state.ang_vel + twist[:, 3:] - swings.ang_vel
+        if self._tree.floating:
+            lin_vel, ang_vel = end[:, self._twist].split(3, dim=-1)
+            ang_vel = state.ang_vel + ang_vel - swings.ang_vel
         return moved_on(state, lin_vel, ang_vel, state.joint_vel + end[:, self._joint_vel] - swings.joint_vel, dt)
+
+
+def _wxyz(attitude: Tensor) -> Tensor:
+    """Return quaternions in MuJoCo's order."""
+    return attitude.roll(1, dims=-1)
 
 
 def _check_held(links: Links, acts: LinkDamping, dt: float) -> None:

@@ -3,7 +3,7 @@
 Letters: E environments, N models: 1 where all environments share it, else E.
 """
 
-import copy
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,28 +16,26 @@ from aerial_gym.physics.mujoco.bodies import load
 class Rollouts:
     """Models, and a thread for each that torch uses."""
 
-    def __init__(self, xml_model: Any, num_models: int, num_envs: int, control: str) -> None:
-        """Make the models.
+    def __init__(self, models: Sequence[Any], num_envs: int, *control: str) -> None:
+        """Take the models.
 
         Args:
-            xml_model: An ``MjModel``, the first of them.
-            num_models: N.
+            models: An ``MjModel`` each, N of them, that differ in numbers alone, not in how many of each thing there are.
             num_envs: E.
-            control: What is held over a step, an entry of ``mjtState``.
+            control: What is held over a step, entries of ``mjtState`` in the order of that.
         """
         self.mujoco, rollout = (load(name, backend="mujoco") for name in ("mujoco", "mujoco.rollout"))
-        xml_model.opt.disableflags |= self.mujoco.mjtDisableBit.mjDSBL_AUTORESET  # of what accelerates beyond measure
-        self.models = [xml_model, *(copy.copy(xml_model) for _ in range(num_models - 1))]
+        self.models, self._num_envs, xml_model = list(models), num_envs, models[0]
         self._scratch = self.mujoco.MjData(xml_model)
-        self._of_env = self.models * (num_envs // num_models)
+        self.replace({})
         threads = torch.get_num_threads()
         self._data = [self.mujoco.MjData(xml_model) for _ in range(threads)]
         self._rollout = rollout.Rollout(nthread=threads if threads > 1 else 0)  # 0: the calling thread
-        self._spec = getattr(self.mujoco.mjtState, control).value
+        self._spec = sum(getattr(self.mujoco.mjtState, each).value for each in control)
         width = 1 + xml_model.nq + xml_model.nv  # the time, qpos, qvel
         self._start, self._end = np.zeros((num_envs, width)), np.zeros((num_envs, 1, width))
         self._control = np.zeros((num_envs, 1, self.mujoco.mj_stateSize(xml_model, self._spec)))
-        self._sensed = np.zeros((num_envs, 1, 0))
+        self._sensed = np.zeros((num_envs, 1, xml_model.nsensordata))
         self.pose, self.twist = slice(1, 1 + xml_model.nq), slice(1 + xml_model.nq, width)
 
     @property
@@ -54,6 +52,28 @@ class Rollouts:
     def end(self) -> Tensor:
         """Where a step ends, as ``start``."""
         return torch.from_numpy(self._end)[:, 0]
+
+    @property
+    def sensed(self) -> Tensor:
+        """What sensors measured at the start of a step, (E, ...)."""
+        return torch.from_numpy(self._sensed)[:, 0]
+
+    def at_rest(self) -> tuple[Tensor, Tensor]:
+        """Return where MuJoCo's model stands by itself, as rows of ``start`` and of ``control``."""
+        rows = []
+        for spec, like in ((self.mujoco.mjtState.mjSTATE_FULLPHYSICS, self._start), (self._spec, self._control)):
+            row = np.zeros(like.shape[-1])
+            self.mujoco.mj_getState(self.models[0], self._scratch, row, spec)
+            rows.append(torch.from_numpy(row))
+        return rows[0], rows[1]
+
+    def replace(self, models: Mapping[int, Any]) -> None:
+        """Take other models in the places of some."""
+        for k, model in models.items():
+            self.models[k] = model
+        for model in self.models:
+            model.opt.disableflags |= self.mujoco.mjtDisableBit.mjDSBL_AUTORESET  # of what accelerates beyond measure
+        self._of_env = self.models * (self._num_envs // len(self.models))
 
     def step(self) -> None:
         """Go from ``start`` to ``end``."""

@@ -1,20 +1,33 @@
-"""What of a robot that bends is pushed by the ground and by its own links."""
+"""What of a robot that bends is pushed by the ground, by obstacles and by its own links."""
 
 from dataclasses import replace
 
 import torch
 from torch import Tensor
 
+from aerial_gym.assets import Scene
 from aerial_gym.assets.between_links import pairs_apart
 from aerial_gym.assets.body_shapes import contact_points, core_of
+from aerial_gym.assets.shapes import half_size, is_convex, load_mesh
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.shape import PartCfg
+from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.physics.ground import LinkShape, LinkShapes
+from aerial_gym.physics.solids import Solid, Solids
 
 
-def shapes_on_links(robot: RobotCfg, *, device: torch.device) -> tuple[Tensor, LinkShapes]:
+def shapes_on_links(
+    robot: RobotCfg, *, device: torch.device, scene: Scene | None = None, moves: bool = False
+) -> tuple[Tensor, LinkShapes]:
     """Return the spheres that touch the ground, axes of their links, (C, 4) [m], and what touches what of a robot with joints.
 
-    With ``between_links`` these are also the shapes that push each other.
+    With ``between_links`` or obstacles these are also the shapes that push each other, or that obstacles push.
+
+    Args:
+        robot: With joints.
+        device: Of the spheres.
+        scene: With the obstacles; None without any.
+        moves: Whether any of them moves.
     """
     joints, cfg = robot.joints, robot.collision
     assert joints is not None
@@ -31,8 +44,28 @@ def shapes_on_links(robot: RobotCfg, *, device: torch.device) -> tuple[Tensor, L
         points.append(contact_points([own], device=device))
     spheres = torch.cat(points)
     links = tuple(shape.link for shape, rows in zip(shapes, points[1:], strict=True) for _ in rows)
-    if not cfg.between_links:
-        return spheres, LinkShapes(links=links)
-    parents = [joints.link_of(joint.parent) for joint in joints.layout]
-    pairs = pairs_apart(cfg, names=robot.link_names, parents=parents, device=torch.device("cpu"))
-    return spheres, LinkShapes(links=links, shapes=tuple(shapes), pairs=tuple(pairs))
+    solids = None if scene is None or not scene.num_instances else _solids_of(scene, moves=moves)
+    pairs: list[tuple[int, int]] = []
+    if cfg.between_links:
+        parents = [joints.link_of(joint.parent) for joint in joints.layout]
+        pairs = pairs_apart(cfg, names=robot.link_names, parents=parents, device=torch.device("cpu"))
+    elif solids is None:
+        shapes = []
+    return spheres, LinkShapes(links=links, shapes=tuple(shapes), pairs=tuple(pairs), solids=solids)
+
+
+def _solids_of(scene: Scene, *, moves: bool) -> Solids:
+    """Return the instances of a scene, which is read again at every step."""
+    parts, part, carrier = scene.carried()
+    table = tuple(map(_solid_of, parts))
+    return Solids(table=table, part=part, carrier=carrier, state=scene.asset_state, moves=moves)
+
+
+def _solid_of(part: PartCfg) -> Solid:
+    shape, turn = part.shape, quat_from_euler(torch.tensor(part.euler, dtype=torch.float64))
+    place = {"position": part.position, "attitude": tuple(turn.tolist())}
+    if shape.kind != "mesh" or shape.path is None:
+        return Solid(kind=shape.kind, size=half_size(shape), **place)
+    mesh = load_mesh(shape.path, scale=shape.scale)
+    vertices = tuple(map(tuple, mesh.vertices.tolist()))
+    return Solid(kind=shape.kind, path=shape.path, vertices=vertices, convex=is_convex(mesh), **place)

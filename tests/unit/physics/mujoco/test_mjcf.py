@@ -1,11 +1,15 @@
 """What the writer of MJCF says: its frames, numbers to the last digit, and what is left out."""
 
+from dataclasses import replace
+from math import inf
 from xml.etree import ElementTree
 
 import torch
 
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree
+from aerial_gym.physics.ground import LinkShapes
 from aerial_gym.physics.mujoco.mjcf import Floor, write_mjcf
+from aerial_gym.physics.solids import Solid, Solids
 
 TREE = Tree(joints=(Joint(parent=0, axis=(0.0, 1.0, 0.0), position=(0.1, 0.2, 0.3), attitude=(0.5, -0.5, 0.1, 0.7)),))
 LINKS = Links(
@@ -43,3 +47,22 @@ def test_without_a_floor_nothing_touches_and_with_one_points_have_a_size() -> No
     assert foot is not None
     assert plane.attrib["pos"] == "0.0 0.0 -0.5"
     assert float(foot.attrib["size"]) == 1e-9
+
+
+def test_obstacles_are_bodies_of_their_environment_all_of_one_size() -> None:
+    """A part that an environment has not touches nothing; obstacles touch shapes of links alone, moving ones weigh nothing."""
+    table = (Solid(kind="box", size=(1.0, 2.0, 3.0)), Solid(kind="cylinder", size=(0.5, 1.0, 0.0)))
+    part = torch.tensor([[0, 1], [1, -1]])
+    solids = Solids(table=table, part=part, carrier=torch.zeros_like(part), state=torch.zeros(2, 1, 13))
+    for env, kinds in enumerate((["box", "cylinder"], ["cylinder", "sphere"])):
+        for moves in (False, True):
+            on = LinkShapes(links=(), solids=replace(solids, moves=moves))
+            root = written(env=env, floor=Floor(height=-inf, spheres=(), friction=0.4, on_links=on))
+            bodies = root.findall("worldbody/body")[1:]
+            geoms = [geom for body in bodies for geom in body.iter("geom")]
+            assert [geom.get("type") for geom in geoms] == kinds
+            assert [geom.get("contype") for geom in geoms] == ["2", "0" if env else "2"]
+            assert {geom.get("conaffinity") for geom in geoms} == {"0"}
+            assert {body.get("mocap") for body in bodies} == {None if moves else "true"}
+            assert {body.get("gravcomp") for body in bodies} == {"1" if moves else None}
+            assert root.find("worldbody/geom") is None

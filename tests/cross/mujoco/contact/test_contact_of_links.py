@@ -5,141 +5,37 @@ All in float64 but for whole simulations. K is the stiffness of a ``ContactCfg``
 
 from dataclasses import replace
 from math import cos, sin
-from pathlib import Path
 
 import pytest
 import torch
 from scipy.optimize import brentq
 
-from aerial_gym import SimBuilder
-from aerial_gym.assets import ENVIRONMENTS
-from aerial_gym.config.contact import ContactCfg
-from aerial_gym.config.environment import EnvironmentCfg
-from aerial_gym.config.robot import RobotCfg
-from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError
-from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
-from aerial_gym.physics.articulated.joint_laws import Drive, Spring
-from aerial_gym.physics.articulated.motion import move_links, place_links
-from aerial_gym.physics.articulated.tree import Joint, Links, Tree, TreeState
-from aerial_gym.physics.ground import LinkShape, LinkShapes
+from aerial_gym.physics.ground import LinkShapes
 from aerial_gym.physics.mujoco.mjcf import Floor
 from aerial_gym.physics.mujoco.rollout_trees import RolloutTrees
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.joints.touching import shapes_on_links
+from tests.cross.mujoco.contact.arms import (
+    ARM,
+    ARM_MASS,
+    CFG,
+    FEET,
+    HINGES,
+    MASS,
+    MIDDLE,
+    G,
+    Rig,
+    at,
+    shape_on,
+    springs,
+    two_arms,
+    weights,
+)
+from tests.cross.mujoco.contact.on_legs import build, put_down
 from tests.physics.vehicles import F64
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[mujoco]'")
-
-G = 9.81
-CFG = ContactCfg(friction=0.5)
-BASE_MASS, ARM_MASS, ARM = 0.2, 0.05, 0.2
-MASS = BASE_MASS + 2.0 * ARM_MASS
-MIDDLE = (0.0, 0.0, 0.0)
-
-
-def springs(stiffness: float, damping: float, rest: tuple[float, float] = (0.0, 0.0)) -> Spring:
-    zero = torch.zeros(1, 2, dtype=F64)
-    return Spring(
-        stiffness=zero + stiffness,
-        damping=zero + damping,
-        quadratic=zero,
-        preload=zero,
-        rest=torch.tensor([rest], dtype=F64),
-    )
-
-
-def two_arms(kind: str, axes: tuple[tuple[float, float, float], tuple[float, float, float]], aside: float) -> Tree:
-    joints = (
-        Joint(parent=0, axis=axis, position=(x, 0.0, 0.0), kind=kind)
-        for axis, x in zip(axes, (aside, -aside), strict=True)
-    )
-    return Tree(joints=tuple(joints))
-
-
-def weights(arm_com: float) -> Links:
-    return Links(
-        mass=torch.tensor([[BASE_MASS, ARM_MASS, ARM_MASS]], dtype=F64),
-        com=torch.tensor([[[0.0, 0.0, 0.0], [arm_com, 0.0, 0.0], [-arm_com, 0.0, 0.0]]], dtype=F64),
-        inertia=torch.diag_embed(
-            torch.tensor([[[2e-4, 2e-4, 4e-4], [1e-5, 1e-5, 1e-5], [1e-5, 1e-5, 1e-5]]], dtype=F64)
-        ),
-    )
-
-
-def at(height: float, **others: tuple[float, float, float]) -> TreeState:
-    rows = {"lin_vel": (0.0, 0.0, 0.0), "ang_vel": (0.0, 0.0, 0.0), "attitude": (0.0, 0.0, 0.0, 1.0)} | others
-    state = {name: torch.tensor([row], dtype=F64) for name, row in rows.items()}
-    nothing = torch.zeros(1, 2, dtype=F64)
-    return TreeState(
-        position=torch.tensor([[0.0, 0.0, height]], dtype=F64), joint_pos=nothing, joint_vel=nothing, **state
-    )
-
-
-class Rig:
-    """Two arms on a base, in steps; sums up what the ground gave."""
-
-    def __init__(
-        self,
-        tree: Tree,
-        links: Links,
-        law: Spring,
-        on_links: LinkShapes,
-        spheres,
-        *,
-        dt: float,
-        gravity=G,
-        friction=0.5,
-    ) -> None:
-        floor = Floor(height=0.0, spheres=spheres, friction=friction, on_links=on_links)
-        self.bodies = RolloutTrees(tree, 1, dt, floor=floor, cfg=CFG)
-        self.tree, self.links, self.law, self.gravity = tree, links, law, gravity
-        self.impulse = torch.zeros(1, 3, dtype=F64)
-
-    def step(self, state: TreeState, *, driven: bool = False) -> TreeState:
-        """Take a step; ``driven`` with a drive of the spring's numbers in its place."""
-        own = {"stiffness": self.law.stiffness, "damping": self.law.damping, "position": self.law.rest}
-        nothing = {name: torch.zeros_like(self.law.rest) for name in ("rate", "effort")}
-        drive = Drive(**own, **nothing, limit=torch.full_like(self.law.rest, 1e3)) if driven else None
-        state = self.bodies.move(
-            self.tree,
-            self.links,
-            [] if driven else [self.law],
-            state,
-            self.bodies.dt,
-            gravity=self.gravity,
-            wrench=torch.zeros(1, 3, 6, dtype=F64),
-            drive=drive,
-        )
-        self.impulse += self.bodies.impulse
-        return state
-
-    def run(self, state: TreeState, span: float) -> TreeState:
-        for _ in range(round(span / self.bodies.dt)):
-            state = self.step(state)
-        return state
-
-    def energy_and_momentum(self, state: TreeState) -> tuple[float, torch.Tensor]:
-        """Of motion, height and springs [J], and momentum of all links [N s], world, (1, 3)."""
-        places = place_links(self.tree, self.links, state.joint_pos)
-        body_vel = quat_rotate_inverse(state.attitude, state.lin_vel)
-        motion = move_links(self.tree, places, body_vel, state.ang_vel, state.joint_vel)
-        mass = self.links.mass.unsqueeze(-1)
-        velocity = motion.lin_vel + torch.linalg.cross(motion.ang_vel, places.com - places.origin)
-        spin = (places.inertia @ motion.ang_vel.unsqueeze(-1)).squeeze(-1)
-        moving = 0.5 * (mass * velocity.square()).sum() + 0.5 * (spin * motion.ang_vel).sum()
-        center = state.position + quat_rotate(state.attitude, (mass * places.com).sum(1) / mass.sum(1))
-        bent = 0.5 * (self.law.stiffness * (state.joint_pos - self.law.rest).square()).sum()
-        energy = moving + self.gravity * mass.sum() * center[0, 2] + bent
-        return float(energy), quat_rotate(state.attitude, (mass * velocity).sum(1))
-
-
-def shape_on(link: int, radius: float, half: tuple[float, float, float]) -> LinkShape:
-    return LinkShape(link=link, center=MIDDLE, attitude=(0.0, 0.0, 0.0, 1.0), half=half, radius=radius)
-
-
-FEET = ((ARM, 0.0, 0.0, 0.01), (-ARM, 0.0, 0.0, 0.01))
-HINGES = ((0.0, 1.0, 0.0), (0.0, -1.0, 0.0))  # positive: the arm goes down
 
 
 @pytest.mark.parametrize(("dt", "damping", "span"), [(0.002, 0.2, 1.5), (0.01, 0.02, 6.0)])
@@ -243,46 +139,6 @@ def test_without_a_touch_it_flies_as_without_a_ground() -> None:
         RolloutTrees(replace(tree, floating=False), 1, 0.002, floor=Floor(height=0.0, spheres=FEET, friction=0.5))
 
 
-FILE = """
-extends: morphy
-collision:
-  spheres: [LEGS, {center: [0.0, 0.0, 0.0], radius: 0.03}]
-  source: test
-"""
-LEGS = ", ".join(
-    f"{{center: [{x}, {y}, -0.05], radius: 0.01, link: azimuth_{k}}}"
-    for k, (x, y) in enumerate(((0.0895, -0.0815), (-0.0895, -0.0815), (-0.0895, 0.0815), (0.0895, 0.0815)), start=1)
-)
-STANDING = replace(ENVIRONMENTS.get("landing_env"), contact=ContactCfg(friction=0.7, crash_speed=2.0))
-
-
-@pytest.fixture
-def on_legs(tmp_path: Path) -> str:
-    """A Morphy with a leg under the end of each arm."""
-    (tmp_path / "on_legs.yaml").write_text(FILE.replace("LEGS", LEGS))
-    return str(tmp_path / "on_legs.yaml")
-
-
-def build(robot: str | RobotCfg, env: EnvironmentCfg = STANDING, backend: str = "mujoco") -> EnvManager:
-    return SimBuilder().build_env(
-        sim_name="base_sim", env_name=env, robot_name=robot, controller_name="no_control", num_envs=2, device="cpu",
-        backend=backend,
-    )  # fmt: skip
-
-
-def put_down(robot: str, height: float, span: float) -> tuple[EnvManager, torch.Tensor]:
-    """Return robots with still rotors that fell from a height, and which crashed, (E,)."""
-    sim, crashed = build(robot), torch.zeros(2, dtype=torch.bool)
-    for key in ("robot_linvel", "robot_body_angvel", "rotor_speed", "dof_position", "dof_velocity"):
-        sim.gtd[key].zero_()
-    sim.gtd["robot_orientation"][:] = torch.tensor([0.0, 0.0, 0.0, 1.0])
-    sim.gtd["robot_position"][:, 2] = height
-    for _ in range(round(span / sim.dt)):
-        sim.step(torch.zeros_like(sim.gtd["robot_actions"]))
-        crashed |= sim.gtd["crashes"]
-    return sim, crashed
-
-
 def test_a_robot_stands_on_legs_under_its_arms(on_legs: str) -> None:
     """All four carry its weight; the ends of its joints bear what the springs do not; 0.29 kg."""
     sim, crashed = put_down(on_legs, 0.08, 0.5)
@@ -301,8 +157,6 @@ def test_a_fast_touch_of_a_leg_is_a_crash(on_legs: str) -> None:
 def test_what_cannot_be_pushed_is_refused_by_name(on_legs: str) -> None:
     with pytest.raises(CapabilityError, match="push back at a contact of a vehicle with joints. Use backend 'mujoco'"):
         build(on_legs, backend="warp")
-    with pytest.raises(CapabilityError, match="obstacles do not push back"):
-        build(on_legs, replace(ENVIRONMENTS.get("env_with_obstacles"), contact=CFG))
 
 
 def test_a_snake_whose_rods_push_each_other_flies() -> None:

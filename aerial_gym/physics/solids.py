@@ -1,0 +1,86 @@
+"""Obstacles as an engine needs them that finds contacts itself: a table of shapes, and where each of an environment is.
+
+Frames: world, z up; a part sits in the axes of the obstacle that carries it.
+Letters: E environments, A obstacles, P parts of all of them.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from aerial_gym.math.quaternion import quat_multiply, quat_rotate, quat_rotate_inverse
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solid:
+    """A part of an obstacle."""
+
+    kind: str
+    """Of ``config.shape.ShapeCfg``, but for ``compound`` and ``urdf``, which have parts."""
+
+    size: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Half edges of a box [m]; of others the radius, and along z half the length of a cylinder or of a capsule's line."""
+
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """In the obstacle [m]."""
+
+    attitude: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    """Part to obstacle, xyzw."""
+
+    path: str = ""
+    """File of a mesh."""
+
+    vertices: tuple[tuple[float, float, float], ...] = ()
+    """Of a mesh [m]."""
+
+    convex: bool = True
+    """Whether it is closed, in one piece and holds every line between two of its points."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solids:
+    """What stands around the vehicles of all environments; the tensors stay where they are and may be written at any time."""
+
+    table: tuple[Solid, ...]
+    """Every part that there is."""
+
+    part: Tensor
+    """Row of the table of each part of an environment, -1 where there is none, integer, (E, P)."""
+
+    carrier: Tensor
+    """Which obstacle carries it, integer, (E, P)."""
+
+    state: Tensor
+    """Position [m], attitude xyzw, velocity [m/s] and angular velocity [rad/s] of obstacles, world, (E, A, 13)."""
+
+    moves: bool = False
+    """Whether the velocities count: those of obstacles at rest are zero, whatever stands there."""
+
+    @cached_property
+    def _in_obstacles(self) -> tuple[Tensor, Tensor]:
+        """Positions and attitudes of the table's rows in what carries them, float64."""
+        kind = {"dtype": torch.float64, "device": self.state.device}
+        rows = ([solid.position for solid in self.table], [solid.attitude for solid in self.table])
+        return torch.tensor(rows[0], **kind), torch.tensor(rows[1], **kind)
+
+    def of_parts(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return how parts stand and move, float64.
+
+        Returns:
+            Positions [m], world, (E, P, 3); attitudes, part to world, xyzw, (E, P, 4); velocities of the parts' origins [m/s],
+            world, and angular velocities [rad/s], axes of the part, (E, P, 3). What is not there is at the world's origin.
+        """
+        there = (self.part >= 0).unsqueeze(-1)
+        row, carrier = self.part.long().clamp_min(0), self.carrier.long().clamp_min(0)
+        offset, turn = (values[row] for values in self._in_obstacles)
+        state = self.state.double().gather(1, carrier.unsqueeze(-1).expand(*carrier.shape, 13))
+        position, attitude, lin_vel, ang_vel = state.split((3, 4, 3, 3), dim=-1)
+        lever, turned = quat_rotate(attitude, offset), quat_multiply(attitude, turn)
+        velocity = lin_vel + torch.linalg.cross(ang_vel, lever)
+        unit = torch.zeros_like(turned)
+        unit[..., 3] = 1.0
+        parts = (position + lever, velocity, quat_rotate_inverse(turned, ang_vel))
+        place, velocity, spin = (torch.where(there, values, 0.0) for values in parts)
+        return place, torch.where(there, turned, unit), velocity, spin
