@@ -20,8 +20,9 @@ def sphere_gaps(ground: Ground, model: Model, state: JointedState) -> tuple[Tens
     assert ground.on_links is not None
     on, tree = list(ground.on_links.links), articulation.tree
     places = place_links(tree, articulation.links(model.vehicle), state.joint_pos)
-    body_vel = quat_rotate_inverse(state.attitude, state.lin_vel)
-    motion = move_links(tree, places, body_vel, state.ang_vel, state.joint_vel)
+    moves = float(tree.floating)  # a stand does not, whatever its state says
+    body_vel = quat_rotate_inverse(state.attitude, moves * state.lin_vel)
+    motion = move_links(tree, places, body_vel, moves * state.ang_vel, state.joint_vel)
     down = torch.zeros_like(state.position)
     down[:, 2] = -1.0
     down = quat_rotate_inverse(state.attitude, down).unsqueeze(1)

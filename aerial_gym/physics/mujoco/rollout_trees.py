@@ -55,12 +55,8 @@ class RolloutTrees:
 
         Raises:
             MissingDependencyError: If MuJoCo is not installed.
-            CapabilityError: If an obstacle has a shape that MuJoCo has not, or a tree on a stand is to touch something.
+            CapabilityError: If an obstacle has a shape that MuJoCo has not.
         """
-        if floor is not None and not tree.floating:
-            raise CapabilityError(
-                "backend mujoco: no contact of a vehicle on a stand. Leave contact out of the environment"
-            )
         self.dt, self._tree, self._floor, self._cfg = dt, tree, floor, cfg
         self._touches, self._solids = floor is not None, None if floor is None else floor.solids
         if self._solids is not None:

@@ -12,7 +12,6 @@ from scipy.optimize import brentq
 
 from aerial_gym.errors import CapabilityError
 from aerial_gym.physics.ground import LinkShapes
-from aerial_gym.physics.mujoco.mjcf import Floor
 from aerial_gym.physics.mujoco.rollout_trees import RolloutTrees
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.joints.touching import shapes_on_links
@@ -135,8 +134,6 @@ def test_without_a_touch_it_flies_as_without_a_ground() -> None:
     for name, values in vars(theirs).items():
         torch.testing.assert_close(getattr(ours, name), values, rtol=0.0, atol=1e-12)
     assert rig.impulse.abs().max() < 1e-12
-    with pytest.raises(CapabilityError, match="no contact of a vehicle on a stand"):
-        RolloutTrees(replace(tree, floating=False), 1, 0.002, floor=Floor(height=0.0, spheres=FEET, friction=0.5))
 
 
 def test_a_robot_stands_on_legs_under_its_arms(on_legs: str) -> None:
