@@ -26,10 +26,10 @@ from aerial_gym.physics.ground import Ground, crash_at, ground_contacts, is_cras
 from aerial_gym.physics.integrators import MassState, Stepper, held_wrench, swing_on, to_body_state, to_mass_state
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.mujoco.bodies import Bodies, body_rows, load
+from aerial_gym.physics.mujoco.cpu.rollout_bodies import RolloutBodies
+from aerial_gym.physics.mujoco.cpu.rollout_trees import RolloutTrees
 from aerial_gym.physics.mujoco.mjcf import Floor
-from aerial_gym.physics.mujoco.rollout_bodies import RolloutBodies
-from aerial_gym.physics.mujoco.rollout_trees import RolloutTrees
-from aerial_gym.physics.mujoco.warp_bodies import WarpBodies
+from aerial_gym.physics.mujoco.warp.warp_bodies import WarpBodies
 from aerial_gym.physics.rigid_body import angular_acceleration, com_acceleration, pull_of_load
 from aerial_gym.physics.rotor_lag import RotorCommand
 from aerial_gym.physics.state import BodyState, JointedState

@@ -17,7 +17,7 @@ from aerial_gym.physics import BACKENDS
 from aerial_gym.physics.articulated.joint_laws import Drive, Limits, Spring
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
-from aerial_gym.physics.mujoco.rollout_trees import RolloutTrees
+from aerial_gym.physics.mujoco.cpu.rollout_trees import RolloutTrees
 from aerial_gym.robots import ROBOTS
 from tests.physics.articulated.trees import pendulum, random_links, random_motion, random_tree
 from tests.physics.vehicles import F64

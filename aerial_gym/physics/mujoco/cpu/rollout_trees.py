@@ -26,8 +26,8 @@ from aerial_gym.physics.articulated.link_damping import LinkDamping
 from aerial_gym.physics.articulated.steppers import moved_on, with_drive
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.mujoco.bodies import LARGEST, load
+from aerial_gym.physics.mujoco.cpu.rollouts import Rollouts
 from aerial_gym.physics.mujoco.mjcf import Floor, write_mjcf
-from aerial_gym.physics.mujoco.rollouts import Rollouts
 from aerial_gym.physics.mujoco.softness import solver_numbers
 from aerial_gym.physics.mujoco.solid_bodies import check_solids
 

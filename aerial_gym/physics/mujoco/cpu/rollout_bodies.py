@@ -11,8 +11,8 @@ from torch import Tensor
 
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.physics.mujoco.bodies import COM, GRAVITY, INERTIA, MASS, Bodies, compile_body, load
+from aerial_gym.physics.mujoco.cpu.rollouts import Rollouts
 from aerial_gym.physics.mujoco.mjcf import Floor
-from aerial_gym.physics.mujoco.rollouts import Rollouts
 
 
 class RolloutBodies(Bodies):
