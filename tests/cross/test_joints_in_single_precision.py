@@ -56,7 +56,9 @@ class Start:
     """Thrusts of hover, then commands of drives, (E, R + C)."""
 
 
-def start_of(name: str, dtype: torch.dtype, *, spread: float, moves: float) -> Start:
+def start_of(
+    name: str, dtype: torch.dtype, *, spread: float, moves: float, backend: TorchBackend | None = None
+) -> Start:
     """Return a vehicle off its reference pose.
 
     Args:
@@ -64,13 +66,14 @@ def start_of(name: str, dtype: torch.dtype, *, spread: float, moves: float) -> S
         dtype: Float32 flies on the fused backend, float64 on that of torch.
         spread: Joints are drawn to be off by so much either way [rad], and to turn [rad/s].
         moves: Share of the motion of ``random_state``, of the order of 1 m/s and 1 rad/s.
+        backend: In place of these.
     """
     robot = ROBOTS.get(name)
     vehicle = vehicle_from_config(robot, num_envs=NUM_ENVS, dtype=dtype)
     bends = articulation_of(robot, like=vehicle.mass)
     assert bends is not None
     law = make_controller(CONTROLLERS.get("no_control"), vehicle, G, dt=DT)
-    backend = WarpBackend() if dtype == torch.float32 else TorchBackend()
+    backend = backend or (WarpBackend() if dtype == torch.float32 else TorchBackend())
     random = Randomness(NUM_ENVS)
     random.environment.copy_(torch.arange(NUM_ENVS, dtype=torch.int32))
     model = build_model(vehicle, [], articulation=bends)

@@ -30,6 +30,7 @@ from aerial_gym.physics.mujoco.cpu.rollout_bodies import RolloutBodies
 from aerial_gym.physics.mujoco.cpu.rollout_trees import RolloutTrees
 from aerial_gym.physics.mujoco.mjcf import Floor
 from aerial_gym.physics.mujoco.warp.warp_bodies import WarpBodies
+from aerial_gym.physics.mujoco.warp.warp_trees import WarpTrees
 from aerial_gym.physics.rigid_body import angular_acceleration, com_acceleration, pull_of_load
 from aerial_gym.physics.rotor_lag import RotorCommand
 from aerial_gym.physics.state import BodyState, JointedState
@@ -57,7 +58,8 @@ class MujocoBackend(TorchBackend):
 
     _engine: type[RolloutBodies] | type[WarpBodies] = RolloutBodies
     _bodies: Bodies | None = None
-    _trees: RolloutTrees | None = None
+    _engine_of_trees: type[RolloutTrees] | type[WarpTrees] = RolloutTrees
+    _trees: RolloutTrees | WarpTrees | None = None
     _force: Tensor
     """Of the last substep but gravity and contact [N], body at its start, (E, 3)."""
 
@@ -82,7 +84,8 @@ class MujocoBackend(TorchBackend):
         assert model.articulation is not None
         if self._trees is None or self._trees.dt != dt:
             floor, cfg = _floor_of(self._ground)
-            self._trees = RolloutTrees(model.articulation.tree, model.vehicle.num_envs, dt, floor=floor, cfg=cfg)
+            tree, num_envs = model.articulation.tree, model.vehicle.num_envs
+            self._trees = self._engine_of_trees(tree, num_envs, dt, floor=floor, cfg=cfg)
         return self._trees.move
 
     @torch.no_grad()
@@ -150,8 +153,8 @@ class MujocoWarpBackend(MujocoBackend):
 
     name = "mujoco_warp"
     packages = ("mujoco-warp", "mujoco")
-    capabilities = replace(MujocoBackend.capabilities, dtypes=(torch.float32,), joints=False, contact_of_links=False)
-    _engine = WarpBodies
+    capabilities = replace(MujocoBackend.capabilities, dtypes=(torch.float32,), contact_of_links=False)
+    _engine, _engine_of_trees = WarpBodies, WarpTrees
 
 
 def _floor_of(ground: Ground | None) -> tuple[Floor | None, ContactCfg | None]:

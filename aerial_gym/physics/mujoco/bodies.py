@@ -37,6 +37,16 @@ def load(module: str, *, backend: str) -> Any:
         raise MissingDependencyError(f"backend {backend!r} needs {module}: pip install 'aerial-gym[{extra}]'") from None
 
 
+def principal_axes(mujoco: Any, inertia: Tensor) -> tuple[Tensor, Tensor]:
+    """Return principal moments [kg m²], (..., 3), and attitudes of their axes, wxyz, (..., 4), of inertias, float64."""
+    moments, axes = torch.linalg.eigh(inertia)
+    axes[..., 0] *= torch.linalg.det(axes).sign().unsqueeze(-1)
+    turns = torch.zeros(*moments.shape[:-1], 4, dtype=torch.float64)
+    for turn, matrix in zip(turns.view(-1, 4).numpy(), axes.reshape(-1, 9).numpy(), strict=True):
+        mujoco.mju_mat2Quat(turn, matrix)
+    return moments, turns
+
+
 def body_rows(model: Model) -> Tensor:
     """Return what MuJoCo must know of each body: mass, inertia, centre of mass and gravity, float64, (N, 14)."""
     vehicle = model.vehicle

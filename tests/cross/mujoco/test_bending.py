@@ -3,6 +3,7 @@
 All in float64 but for whole simulations.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from math import cos, exp, pi
 from pathlib import Path
@@ -13,11 +14,11 @@ import torch
 from aerial_gym import SimBuilder
 from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.math.quaternion import quat_from_euler
-from aerial_gym.physics import BACKENDS
 from aerial_gym.physics.articulated.joint_laws import Drive, Limits, Spring
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.mujoco.cpu.rollout_trees import RolloutTrees
+from aerial_gym.physics.mujoco.trees import Trees
 from aerial_gym.robots import ROBOTS
 from tests.physics.articulated.trees import pendulum, random_links, random_motion, random_tree
 from tests.physics.vehicles import F64
@@ -86,12 +87,12 @@ def test_trees_move_as_by_implicit_euler(num_joints: int, chain: bool, floating:
     assert_same(ours, theirs, bound=1e-9)
 
 
-def swung(dt: float) -> float:
+def swung(dt: float, engine: Callable[..., Trees] = RolloutTrees) -> float:
     """Return where a pendulum of 1 m on a stand is after half a small swing from 0.02 rad."""
     tree, links = pendulum(1.0, 0.5)
     state = TreeState.at_rest(1, 1, like=links.mass)
     state = replace(state, joint_pos=state.joint_pos + 0.02)
-    bodies, period = RolloutTrees(tree, 1, dt), 2.0 * pi / G**0.5
+    bodies, period = engine(tree, 1, dt), 2.0 * pi / G**0.5
     for _ in range(round(0.5 * period / dt)):
         state = bodies.move(tree, links, (), state, dt, gravity=G, wrench=no_wrench(tree, 1))
     return state.joint_pos.item()
@@ -164,8 +165,13 @@ def test_environments_bend_alone_as_in_a_batch_and_what_is_not_finite_stays_so(
 )
 def test_every_robot_with_joints_flies_as_on_torch(robot: str) -> None:
     """0.3 s in float32, from draws; joints and base agree to 1e-4 of their size (snakes whip at up to 50 rad/s)."""
+    flies_as_on_torch(robot, "mujoco")
+
+
+def flies_as_on_torch(robot: str, other: str) -> None:
+    """Assert that simulations on a backend do what they do on torch."""
     sims = []
-    for backend in ("torch", "mujoco"):
+    for backend in ("torch", other):
         sim = SimBuilder().build_env(
             sim_name="base_sim", env_name="empty_env", robot_name=robot, controller_name="no_control", num_envs=3,
             device="cpu", seed=2, backend=backend,
@@ -189,12 +195,12 @@ def test_every_robot_with_joints_flies_as_on_torch(robot: str) -> None:
         assert (one - other).abs().max() <= 1e-4 * (1.0 + one.abs().max()), key
 
 
-def test_mujoco_warp_refuses_joints_by_name() -> None:
+def test_mujoco_warp_refuses_contact_of_links_by_name() -> None:
     with pytest.raises(
-        CapabilityError, match="backend mujoco_warp: cannot move joints. Use backend 'warp', 'torch', 'mujoco'"
+        CapabilityError,
+        match="mujoco_warp: cannot push back at a contact of a vehicle with joints. Use backend 'mujoco'",
     ):
         SimBuilder().build_env(
-            sim_name="base_sim", env_name="empty_env", robot_name="morphy", controller_name="no_control", num_envs=1,
+            sim_name="base_sim", env_name="landing_env", robot_name="morphy", controller_name="no_control", num_envs=1,
             device="cpu", backend="mujoco_warp",
         )  # fmt: skip
-    assert BACKENDS.get("mujoco")().capabilities.joints

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from aerial_gym.physics.mujoco.bodies import load
+from aerial_gym.physics.mujoco.bodies import load, principal_axes
 
 
 class Rollouts:
@@ -58,15 +58,6 @@ class Rollouts:
         """What sensors measured at the start of a step, (E, ...)."""
         return torch.from_numpy(self._sensed)[:, 0]
 
-    def at_rest(self) -> tuple[Tensor, Tensor]:
-        """Return where MuJoCo's model stands by itself, as rows of ``start`` and of ``control``."""
-        rows = []
-        for spec, like in ((self.mujoco.mjtState.mjSTATE_FULLPHYSICS, self._start), (self._spec, self._control)):
-            row = np.zeros(like.shape[-1])
-            self.mujoco.mj_getState(self.models[0], self._scratch, row, spec)
-            rows.append(torch.from_numpy(row))
-        return rows[0], rows[1]
-
     def replace(self, models: Mapping[int, Any]) -> None:
         """Take other models in the places of some."""
         for k, model in models.items():
@@ -102,14 +93,11 @@ class Rollouts:
             inertia: About these [kg m²], (K, L, 3, 3).
             gravity: Acceleration of free fall, world [m/s²], (K, 3).
         """
-        moments, axes = torch.linalg.eigh(inertia)
-        axes[..., 0] *= torch.linalg.det(axes).sign().unsqueeze(-1)
-        for k, *of_model, fall in zip(changed, *(t.numpy() for t in (mass, com, moments, axes, gravity)), strict=True):
+        moments, turns = principal_axes(self.mujoco, inertia)
+        for k, *of_model, fall in zip(changed, *(t.numpy() for t in (mass, com, moments, turns, gravity)), strict=True):
             model = self.models[k]
-            model.body_mass[places], model.body_ipos[places], model.body_inertia[places], turns = of_model
-            for place, turn in zip(places, turns, strict=True):
-                self.mujoco.mju_mat2Quat(model.body_iquat[place], turn.flatten())
-            model.opt.gravity[:] = fall
+            model.body_mass[places], model.body_ipos[places], model.body_inertia[places], axes = of_model
+            model.body_iquat[places], model.opt.gravity[:] = axes, fall
 
     def refer_contacts_to(self, changed: list[int], places: list[int], mass: Tensor) -> None:
         """Let contacts of bodies in some models give way by the mass of the whole [kg], (K,), not by that of a link alone."""

@@ -1,0 +1,226 @@
+"""Trees of links in MuJoCo: vehicles that bend, and what MuJoCo on the CPU and MuJoCo Warp have in common.
+
+Springs and dampers in joints are those of the end of a step, as in ``steppers.implicit_euler``, with the stiffness K and the
+damping C that the laws have in each state:
+
+    (M + C dt + K dt²) a = f - h - K q' dt.
+
+MuJoCo's ``Euler`` takes the damping D of a joint so: ``(M + D dt) a = u - h - D q'``. With ``D = C + K dt`` and
+``u = f + C q'`` it is the same step. Damping of links is no joint's: it is held through a step as other forces on links are,
+and refused where it would turn their motion round. A base on a stand is where its state says, and stands still.
+Letters: E environments, L links, D joints, P parts of obstacles.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from aerial_gym.errors import CapabilityError, ShapeError
+from aerial_gym.physics.articulated.joint_laws import Drive, Effort, JointLaw
+from aerial_gym.physics.articulated.link_damping import LinkDamping
+from aerial_gym.physics.articulated.steppers import moved_on, with_drive
+from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
+from aerial_gym.physics.mujoco.bodies import LARGEST
+from aerial_gym.physics.mujoco.mjcf import Floor, write_mjcf
+from aerial_gym.physics.solids import Solids
+
+LEAST_MASS = 1e-9
+"""Of links without mass [kg], and the moments of those without inertia [kg m²]: MuJoCo's links have some."""
+
+
+def template(tree: Tree, dt: float, *, floor: Floor | None = None, env: int = 0) -> str:
+    """Return the MJCF of a tree whose links weigh 1 kg and 1 kg m², into which other weights can be written; with controls."""
+    shape = (env + 1, tree.num_links)
+    zero, unit = torch.zeros(1).expand(*shape, 3), torch.eye(3).expand(*shape, 3, 3)
+    links = Links(mass=torch.ones(1).expand(shape), com=zero, inertia=unit)
+    return write_mjcf(tree, links, env=env, gravity=0.0, dt=dt, floor=floor, actuated=True)
+
+
+class Trees(ABC):
+    """The trees of all environments, whose ``move`` is a step as ``steppers.implicit_euler`` is."""
+
+    backend: str
+    """What messages call it."""
+
+    impulse: Tensor
+    """Of ground and obstacles in the last step [N s], world, (E, 3), float64."""
+
+    def __init__(
+        self, first: Any, tree: Tree, num_envs: int, dt: float, *, solids: Solids | None, touches: bool
+    ) -> None:
+        """Find in a compiled model where MuJoCo has what.
+
+        Args:
+            first: An ``MjModel`` of the tree, of ``template`` or like it.
+            tree: How links hang together.
+            num_envs: Environments E.
+            dt: Length of a step [s].
+            solids: The obstacles; None without any.
+            touches: Whether anything can be touched.
+        """
+        self.dt, self._tree, self._solids, self._touches = dt, tree, solids, touches
+        names = [f"joint{k}" for k in range(tree.num_joints)]
+        self._joint_pos = [int(first.joint(name).qposadr[0]) for name in names]
+        self._rates = [int(first.joint(name).dofadr[0]) for name in names]
+        self._joint_vel = [first.nq + place for place in self._rates]
+        self._places = [int(first.body(f"link{link}").id) for link in range(tree.num_links)]
+        self._weights = torch.full((num_envs, 13 * tree.num_links + 3), torch.nan, dtype=torch.float64)
+        self._damping = torch.full((num_envs, tree.num_joints), torch.nan, dtype=torch.float64)
+        self._pose, self._twist = slice(0, 7), slice(first.nq, first.nq + 6)
+        if solids is not None and solids.moves:
+            count, of_part = solids.part.shape[1], first.joint("part0")
+            pose, twist = int(of_part.qposadr[0]), first.nq + int(of_part.dofadr[0])
+            self._part_poses, self._part_twists = slice(pose, pose + 7 * count), slice(twist, twist + 6 * count)
+        still = torch.zeros(first.nu + 7 * first.nmocap, dtype=torch.float64)
+        still[first.nu + 3 * first.nmocap :: 4] = 1.0
+        self._rest = torch.cat((torch.from_numpy(first.qpos0), torch.zeros(first.nv, dtype=torch.float64))), still
+
+    @abstractmethod
+    def _write_links(self, changed: list[int], mass: Tensor, com: Tensor, inertia: Tensor, down: Tensor) -> None:
+        """Write what links weigh in some environments, K of them.
+
+        Args:
+            changed: Which.
+            mass: Of each link [kg], (K, L).
+            com: Centres of mass, axes of each link [m], (K, L, 3).
+            inertia: About these [kg m²], (K, L, 3, 3).
+            down: Acceleration of free fall, world [m/s²], (K, 3).
+        """
+
+    @abstractmethod
+    def _write_damping(self, changed: list[int], damping: Tensor) -> None:
+        """Write the damping of joints [N m s/rad] or [N s/m] in some environments, (K, D)."""
+
+    @abstractmethod
+    def _run(self, start: Tensor, control: Tensor) -> tuple[Tensor, Tensor | None]:
+        """Return where a step ends, and the force on what is touched [N], world, (E, 3); None where nothing can be.
+
+        Args:
+            start: Where it begins, qpos and qvel, (E, nq + nv).
+            control: What is held: controls, places of mocap bodies, and their attitudes wxyz, (E, nu + 7 M).
+        """
+
+    def _follow(self, links: Links, gravity: float, damping: Tensor) -> None:
+        """Write what has changed; gravity is how fast what falls gets faster [m/s²]."""
+        down = torch.zeros_like(damping[:, :1]).expand(-1, 3) + torch.tensor((0.0, 0.0, -gravity), dtype=damping.dtype)
+        every = (links.mass, links.com, links.inertia)
+        mass, com, inertia = (rows.double().expand(len(down), *rows.shape[1:]) for rows in every)
+        weights = torch.cat((mass, com.flatten(1), inertia.flatten(1), down), dim=1)
+        changed = (weights != self._weights).any(dim=-1).nonzero().squeeze(-1).tolist()
+        if changed:
+            self._weights[changed] = weights[changed]
+            some = LEAST_MASS * torch.eye(3, dtype=inertia.dtype)
+            inertia = torch.where((inertia == 0.0).flatten(2).all(-1)[..., None, None], some, inertia)[changed]
+            self._write_links(changed, mass[changed].clamp_min(LEAST_MASS), com[changed], inertia, down[changed])
+        changed = (damping != self._damping).any(dim=-1).nonzero().squeeze(-1).tolist()
+        if changed:
+            self._damping[changed] = damping[changed]
+            self._write_damping(changed, damping[changed])
+
+    def move(
+        self,
+        tree: Tree,
+        links: Links,
+        laws: Sequence[JointLaw],
+        state: TreeState,
+        dt: float,
+        *,
+        gravity: float,
+        wrench: Tensor,
+        drive: Drive | None = None,
+        friction: Drive | None = None,
+        damping: LinkDamping | None = None,
+    ) -> TreeState:
+        """Return the state after one step; arguments as for ``steppers.implicit_euler``, but that damping is held through it.
+
+        Rows with a number that is not finite, or beyond ``bodies.LARGEST``, come out NaN; they are not stepped.
+
+        Raises:
+            ShapeError: If it was made for another tree or for steps of another length.
+            CapabilityError: If damping of links is too large to be held.
+        """
+        if tree is not self._tree or dt != self.dt:
+            raise ShapeError(f"MuJoCo's models are of another tree, or of steps of {self.dt:g} s. Make them anew")
+        if damping is not None:
+            self._check_held(links, damping)
+            wrench = wrench + damping.held(links)
+        return with_drive(partial(self._step, links, state, gravity, wrench), laws, drive, friction, state)
+
+    def _start_of(self, state: TreeState, swings: TreeState) -> tuple[Tensor, Tensor]:
+        """Return where a step begins in MuJoCo, (E, nq + nv), and M mocap bodies: places, then attitudes wxyz, (E, 7 M)."""
+        start = torch.zeros(len(state.position), len(self._rest[0]), dtype=torch.float64)
+        start[:, self._joint_pos], start[:, self._joint_vel] = state.joint_pos.double(), swings.joint_vel.double()
+        places, turns = [start[:, :0]], [start[:, :0]]
+        if self._tree.floating:
+            start[:, self._pose] = torch.cat((state.position, _wxyz(state.attitude)), dim=-1).double()
+            start[:, self._twist] = torch.cat((state.lin_vel, swings.ang_vel), dim=-1).double()
+        else:
+            places.append(state.position.double())
+            turns.append(_wxyz(state.attitude).double())
+        if self._solids is not None:
+            place, attitude, lin_vel, ang_vel = self._solids.of_parts()
+            if self._solids.moves:
+                start[:, self._part_poses] = torch.cat((place, _wxyz(attitude)), dim=-1).flatten(1)
+                start[:, self._part_twists] = torch.cat((lin_vel, ang_vel), dim=-1).flatten(1)
+            else:
+                places.append(place.flatten(1))
+                turns.append(_wxyz(attitude).flatten(1))
+        return start, torch.cat((*places, *turns), dim=-1)
+
+    def _step(
+        self, links: Links, state: TreeState, gravity: float, wrench: Tensor, acts: Effort, swings: TreeState
+    ) -> TreeState:
+        """Return the state after one step under efforts of joints, taken at its end.
+
+        MuJoCo steps from the rates at which turning and swinging are taken, and what they gain is added to those of the state.
+        Where something can be touched these are the rates at the start, at which MuJoCo's contacts push.
+        """
+        if self._touches:
+            swings = state
+        dt = self.dt
+        damping = (acts.damping + dt * acts.stiffness).double()
+        held = acts.value - dt * acts.stiffness * state.joint_vel + damping * swings.joint_vel
+        start, places = self._start_of(state, swings)
+        control = torch.cat((wrench.flatten(1).double(), held.double(), places), dim=-1)
+        sane = (torch.cat((start, control, damping), dim=-1).abs() < LARGEST).all(dim=-1, keepdim=True)
+        self._follow(links, gravity, torch.where(sane, damping, 0.0))
+        end, force = self._run(torch.where(sane, start, self._rest[0]), torch.where(sane, control, self._rest[1]))
+        if force is not None:
+            self.impulse = torch.where(sane, -dt * force, 0.0)
+        end = torch.where(sane, end, torch.nan).to(state.position.dtype)
+        lin_vel, ang_vel = torch.zeros_like(state.lin_vel), torch.zeros_like(state.ang_vel)
+        if self._tree.floating:
+            lin_vel, ang_vel = end[:, self._twist].split(3, dim=-1)
+            ang_vel = state.ang_vel + ang_vel - swings.ang_vel
+        return moved_on(state, lin_vel, ang_vel, state.joint_vel + end[:, self._joint_vel] - swings.joint_vel, dt)
+
+    def _check_held(self, links: Links, acts: LinkDamping) -> None:
+        """Raise ``CapabilityError`` where damping that is held through a step takes more than all of a link's motion.
+
+        Below ``D dt = m`` of each link, and likewise for torques, no motion of the tree turns round:
+        ``sum J^T D J dt <= sum J^T m J <= M``. A link that is a point has no inertia to say so by.
+        """
+        dt = self.dt
+        along, about = (part.amax(-1) for part in acts.damping.split(3, dim=-1))
+        moment = torch.linalg.eigvalsh(links.inertia)[..., 0]
+        for damping, size, what in (
+            (along, links.mass, "mass [kg]"),
+            (about, moment, "least moment of inertia [kg m²]"),
+        ):
+            size = size.expand_as(damping)
+            if bool(((size > 0.0) & (dt * damping > size)).any()):
+                ratio = float((dt * damping / size)[size > 0.0].nan_to_num(0.0).max())
+                raise CapabilityError(
+                    f"backend {self.backend}: holds drag of links through a step of {dt:g} s, which would take {ratio:.3g} "
+                    f"times the speed of one: drag per speed times the step must stay below its {what}. Use backend "
+                    "'torch' or 'warp', or shorter steps"
+                )
+
+
+def _wxyz(attitude: Tensor) -> Tensor:
+    """Return quaternions in MuJoCo's order."""
+    return attitude.roll(1, dims=-1)

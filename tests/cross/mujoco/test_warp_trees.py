@@ -1,0 +1,98 @@
+"""Vehicles that bend on MuJoCo Warp as a backend, in float32: beside float64, closed forms and torch."""
+
+from dataclasses import replace
+from math import cos, pi
+
+import pytest
+import torch
+
+from aerial_gym.errors import CapabilityError
+from aerial_gym.physics import BACKENDS
+from aerial_gym.physics.articulated.steppers import implicit_euler
+from aerial_gym.physics.articulated.tree import Links, TreeState
+from aerial_gym.physics.mujoco.mjcf import Floor
+from aerial_gym.physics.mujoco.warp.warp_trees import WarpTrees
+from tests.cross.mujoco.test_bending import DT, G, assert_same, flies_as_on_torch, no_wrench, on_a_stand, spring, swung
+from tests.cross.test_joints_in_single_precision import WITH_JOINTS, bound_of, coordinates, start_of
+from tests.physics.articulated.trees import pendulum, random_links, random_motion, random_tree
+from tests.physics.vehicles import F64
+from tests.repetitions import often
+
+pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed: pip install 'aerial-gym[mujoco-warp]'")
+
+
+@pytest.mark.parametrize("name", often(WITH_JOINTS, ("morphy", "snakey")))
+def test_one_step_is_off_by_no_more_than_the_condition_of_the_mass_matrix_allows(name: str) -> None:
+    """Beside torch in float64, by the bound of ``test_joints_in_single_precision``: drives, springs, rotors on links."""
+    exact = start_of(name, F64, spread=0.3, moves=1.0)
+    single = start_of(name, torch.float32, spread=0.3, moves=1.0, backend=BACKENDS.get("mujoco_warp")())
+    assert exact.model.articulation is not None
+    bound = bound_of(exact, 0 if exact.model.articulation.tree.floating else 6)
+    for start in (exact, single):
+        start.backend.step(start.state, start.action, DT, 1)
+    width = bound.scale.shape[1]
+    apart = (coordinates(exact.state) - coordinates(single.state).double())[:, -width:]
+    away = (bound.scale * apart).norm(dim=1)
+    units = (bound.scale * coordinates(exact.state)[:, -width:]).norm(dim=1) * 2.0**-24
+    print(
+        f"\n| `{name}` | {(away / units).median():.1f} | {(away / units).max():.1f} | {(bound.largest / units).median():.1e} |"
+    )
+    assert bool((away <= bound.largest).all())
+
+
+@pytest.mark.parametrize("floating", [True, False])
+def test_trees_with_branches_and_weights_of_their_own_move_as_by_implicit_euler(floating: bool) -> None:
+    """Forces on links; 50 steps, each off by some units of float32 times the condition of the mass matrix, 1e2: 1e-4."""
+    tree = random_tree(6, 5, floating=floating)
+    links, first = random_links(tree, 3, 5), random_motion(tree, 3, 5)
+    first = first if floating else on_a_stand(first)
+    wrench = torch.randn(3, tree.num_links, 6, generator=torch.Generator().manual_seed(1), dtype=F64)
+    law = spring(6, stiffness=0.4, quadratic=0.7, damping=0.05, rest=0.1)
+    bodies, ours, theirs = WarpTrees(tree, 3, DT), first, first
+    for _ in range(50):
+        ours = implicit_euler(tree, links, (law,), ours, DT, gravity=G, wrench=wrench)
+        theirs = bodies.move(tree, links, (law,), theirs, DT, gravity=G, wrench=wrench)
+    assert_same(ours, theirs, bound=1e-4)
+    heavier = Links(mass=2.0 * links.mass, com=links.com, inertia=links.inertia)
+    again = implicit_euler(tree, heavier, (law,), ours, DT, gravity=G, wrench=wrench)
+    assert_same(again, bodies.move(tree, heavier, (law,), ours, DT, gravity=G, wrench=wrench), bound=1e-5)
+
+
+def test_a_small_pendulum_swings_to_the_other_side_in_half_its_period() -> None:
+    assert swung(1e-3, WarpTrees) == pytest.approx(0.02 * cos(pi), rel=2e-3)
+
+
+def test_a_damper_that_is_stiff_for_its_step_is_stable() -> None:
+    """Each step leaves ``1 / (1 + c dt / J)`` of the rate, here 1 / 3.3."""
+    tree, links = pendulum(0.2, 0.1)
+    law, state = spring(1, damping=230.0 * 0.1 * 0.2**2), TreeState.at_rest(1, 1, like=links.mass)
+    state, bodies = replace(state, joint_vel=state.joint_vel + 1.0), WarpTrees(tree, 1, 0.01)
+    for _ in range(3):
+        state = bodies.move(tree, links, (law,), state, 0.01, gravity=0.0, wrench=no_wrench(tree, 1))
+    assert state.joint_vel.item() == pytest.approx(3.3**-3, rel=1e-5)
+
+
+def test_environments_bend_alone_as_in_a_batch_and_what_is_not_finite_stays_so() -> None:
+    tree, law = random_tree(4, 8), spring(4, stiffness=0.4, quadratic=0.7, damping=0.05)
+    links, batch = random_links(tree, 3, 8), random_motion(tree, 3, 8)
+    batch.joint_vel[1, 2] = torch.nan
+    bodies, one = WarpTrees(tree, 3, DT), WarpTrees(tree, 1, DT)
+    alone = TreeState(**{name: rows[2:] for name, rows in vars(batch).items()})
+    weights = Links(**{name: rows[2:] for name, rows in vars(links).items()})
+    for _ in range(20):
+        batch = bodies.move(tree, links, (law,), batch, DT, gravity=G, wrench=no_wrench(tree, 3))
+        alone = one.move(tree, weights, (law,), alone, DT, gravity=G, wrench=no_wrench(tree, 1))
+    assert batch.position[1].isnan().all()
+    for name, rows in vars(alone).items():
+        assert torch.equal(rows[0], getattr(batch, name)[2]), name
+
+
+@pytest.mark.parametrize("robot", often(WITH_JOINTS, ("morphy_fixed_base", "tilt_tricopter")))
+def test_every_robot_with_joints_flies_as_on_torch(robot: str) -> None:
+    """As on backend ``mujoco``, 0.3 s from draws, and with torch in float32 as well: to 1e-4 of the size."""
+    flies_as_on_torch(robot, "mujoco_warp")
+
+
+def test_a_floor_is_refused_by_name() -> None:
+    with pytest.raises(CapabilityError, match="mujoco_warp: no contact of a vehicle with joints. Use backend 'mujoco'"):
+        WarpTrees(random_tree(1, 0), 1, DT, floor=Floor(height=0.0, spheres=(), friction=0.5))
