@@ -26,8 +26,8 @@ STANDING = replace(ENVIRONMENTS.get("landing_env"), contact=ContactCfg(friction=
 
 def build(robot: str | RobotCfg, env: EnvironmentCfg = STANDING, backend: str = "mujoco", **others) -> EnvManager:
     return SimBuilder().build_env(
-        sim_name="base_sim", env_name=env, robot_name=robot, controller_name="no_control", num_envs=2, device="cpu",
-        backend=backend, **others,
+        sim_name="base_sim", env_name=env, robot_name=robot, controller_name="no_control", device="cpu",
+        backend=backend, **({"num_envs": 2} | others),
     )  # fmt: skip
 
 
@@ -41,7 +41,7 @@ def put(sim: EnvManager, place: torch.Tensor) -> None:
 
 def let_go(sim: EnvManager, span: float) -> torch.Tensor:
     """Step with still rotors for a span [s]; return which robots crashed meanwhile, (E,)."""
-    crashed = torch.zeros(2, dtype=torch.bool)
+    crashed = torch.zeros(sim.num_envs, dtype=torch.bool)
     for _ in range(round(span / sim.dt)):
         sim.step(torch.zeros_like(sim.gtd["robot_actions"]))
         crashed |= sim.gtd["crashes"]

@@ -131,3 +131,31 @@ def test_a_mesh_and_a_compound_carry_as_the_box_that_they_are(on_legs: str, tmp_
         ends.append(torch.cat((sim.gtd["robot_position"], sim.gtd["dof_position"]), dim=1))
     torch.testing.assert_close(ends[1], ends[0], rtol=0.0, atol=1e-4)
     torch.testing.assert_close(ends[2], ends[0], rtol=0.0, atol=1e-4)
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_an_environment_among_obstacles_is_bit_for_bit_the_same_alone_and_when_it_goes_on(
+    on_legs: str, moves: bool
+) -> None:
+    """Environment 1 in a batch of two and by itself, and a batch of other tables that goes on from what the first has saved."""
+    speed = (0.2, 0.1, 0.0)
+    motion = MotionCfg(kind="twist", lin_vel_low=speed, lin_vel_high=speed) if moves else MotionCfg()
+    env, ends, saved = tables(LOW, HIGH, count=2, motion=motion), [], {}
+    for options in ({}, {"num_envs": 1, "first_env": 1}, {"seed": 2}):
+        sim = build(on_legs, env, **options)
+        sim.reset()
+        place = sim.gtd["obstacle_position"][:, 0].clone()
+        place[:, 2] = 0.47
+        put(sim, place)
+        let_go(sim, 0.1)
+        if "seed" in options:
+            sim.load_state(saved["batch"])
+        elif not options:
+            saved["batch"] = sim.save_state()
+        let_go(sim, 0.1)
+        ends.append(
+            torch.cat((sim.gtd["robot_position"], sim.gtd["dof_position"], sim.gtd["robot_contact_force"]), dim=1)
+        )
+    assert torch.equal(ends[1][0], ends[0][1])
+    assert torch.equal(ends[2], ends[0])
+    assert ends[0][:, -1].any()
