@@ -167,13 +167,6 @@ def few_rays() -> Iterator[None]:
 
 
 @pytest.fixture
-def no_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Lay out the figures of reports, and leave out their pixels."""
-    for module in ("plots", "evidence"):
-        monkeypatch.setattr(f"aerial_gym.sim2real.report.{module}.png", lambda figure: "")
-
-
-@pytest.fixture
 def coarser_plant(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fly ``benchmarks.undeclared`` in steps of 1.25 ms in place of 0.5 ms, which moves no flight by 1e-7 mm.
 

@@ -18,6 +18,7 @@ from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.report.ranges import with_found_ranges
+from aerial_gym.sim2real.report.report import write_report
 from aerial_gym.sim2real.report.run_folder import check_out_dir, whole_folder, write_record
 from aerial_gym.sim2real.teststand.joints.flights import BANDWIDTH_HZ, OF_RATE, FoundJoints, find_joints, with_joints
 
@@ -63,8 +64,6 @@ def close_loop(
         DataError: If a file is not there, or no log that can be used is left to train or to test on.
         ConfigError, UnknownNameError: If robot or mapping cannot.
     """
-    from aerial_gym.sim2real.report.report import write_report  # matplotlib is slow to import
-
     check_out_dir(Path(out_dir))
     declared = robot_by_name(robot)
     if joints and mapping is not None:

@@ -121,7 +121,7 @@ def replay_flights(robot: RobotCfg, flights: Sequence[Flight], *, bandwidth: flo
 
 def _write(folder: Path, result: Replay) -> None:
     from aerial_gym.sim2real.predict.rollout import QUANTITIES
-    from aerial_gym.sim2real.report import plots  # matplotlib is slow to import
+    from aerial_gym.sim2real.report import plots
     from aerial_gym.sim2real.report.figures import VARIANTS
     from aerial_gym.sim2real.report.profiles import profiles, write_profiles
     from aerial_gym.sim2real.report.report import render, write_residuals

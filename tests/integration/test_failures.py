@@ -17,8 +17,6 @@ from aerial_gym.sim2real.logs.flights import load_flights
 from benchmarks.undeclared import Failure as Hidden
 from benchmarks.undeclared import make_case
 
-pytestmark = pytest.mark.usefixtures("no_pixels")
-
 HIDDEN = {
     "train_1": Hidden(kind="motor_failure", motor=1, scale=0.9, time=4.2),
     "train_2": Hidden(kind="stuck_rotor", motor=2, time=3.7),

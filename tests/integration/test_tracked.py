@@ -28,7 +28,7 @@ def judged(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("coarser_plant", "no_pixels")
+@pytest.mark.usefixtures("coarser_plant")
 @pytest.mark.parametrize("effects", [{}, {"rotor_drag": "moderate"}])
 def test_neither_is_an_effect_of_the_vehicle(tmp_path: Path, effects: dict[str, str]) -> None:
     """The notes say in what flights differ.
@@ -41,7 +41,7 @@ def test_neither_is_an_effect_of_the_vehicle(tmp_path: Path, effects: dict[str, 
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("coarser_plant", "no_pixels")
+@pytest.mark.usefixtures("coarser_plant")
 @pytest.mark.parametrize("effects", [{}, {"com_offset": "moderate"}])
 def test_a_late_sensor_and_an_accelerometer_with_a_scale_and_a_place_are_not_either(
     tmp_path: Path, effects: dict[str, str]
@@ -51,7 +51,6 @@ def test_a_late_sensor_and_an_accelerometer_with_a_scale_and_a_place_are_not_eit
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("no_pixels")
 def test_an_early_gyro_beside_a_far_accelerometer_is_no_soft_joint(tmp_path: Path) -> None:
     """Deviations of 4 ms and 1 cm that act on each other; linear ones named a soft joint beside the inertia of the rotors.
 

@@ -16,8 +16,6 @@ from aerial_gym.sim2real import close_loop
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from benchmarks.undeclared import make_case
 
-pytestmark = pytest.mark.usefixtures("no_pixels")
-
 SHORT: dict[str, Any] = {"num_train": 4, "num_test": 2, "duration_s": 8.0, "rate_hz": 200}
 EFFECTS = ("com_offset",)
 MORE_EFFECTS = (

@@ -1,26 +1,202 @@
-"""Grids of panels with fixed margins, and figures as PNG text: a layout that is not searched for is drawn once."""
+"""Figures as SVG text that stands inside a page: grids of panels with lines, dots, bars and error bars.
 
-import base64
-import io
+Every mark is a path of straight strokes. Lengths are whole tenths of a pixel. Letters: N points of a mark.
+"""
+
 from collections.abc import Sequence
-
-import matplotlib
-
-matplotlib.use("Agg", force=False)
+from dataclasses import dataclass, field
+from html import escape
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
-from PIL import Image
+from numpy.typing import NDArray
 
-DPI = 90
-COLOURS = 64
-"""Of a figure: lines and letters need no more, and a palette takes a third of the bytes."""
+Array = NDArray[np.float64]
+
+INCH = 900
+"""Units of the drawing in an inch of the page: tenths of a pixel."""
+
+POINT = INCH / 72
+"""The unit of letters and lines."""
 
 LEFT, RIGHT, TOP, BOTTOM = 0.62, 0.12, 0.3, 0.4
 """Margins of a figure [in]."""
+
+MARGIN = 0.05
+"""Of an axis beyond its numbers, on either side."""
+
+MOST_TICKS = 6
+LETTER = 0.6
+"""Mean width of a letter, of its height."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mark:
+    """Strokes between points."""
+
+    x: Array
+    y: Array
+    together: int
+    """Points that a stroke joins: all of a line, four of a bar, two of an error bar, one of a dot."""
+
+    colour: str
+    width: float = 0.8
+    """[pt]"""
+
+    alpha: float = 1.0
+    dashed: bool = False
+    filled: bool = False
+    label: str = ""
+
+
+@dataclass(kw_only=True)
+class Panel:
+    """A frame with axes, and the marks in it."""
+
+    place: tuple[float, float, float, float]
+    """Left, top, width and height."""
+
+    x_label: str = ""
+    y_label: str = ""
+    title: str = ""
+    log: bool = False
+    """Whether the upright axis is logarithmic."""
+
+    numbered: bool = True
+    """Whether numbers stand below."""
+
+    names: Sequence[str] = ()
+    """In place of numbers below: at 0, 1, 2 ..."""
+
+    boxed: bool = False
+    """Whether the labels of its marks stand inside."""
+
+    levels: list[float] = field(default_factory=list)
+    """Thin lines from side to side."""
+
+    marks: list[Mark] = field(default_factory=list)
+
+    def line(self, x: Array, y: Array, colour: str, **style: object) -> None:
+        """Draw a line through points."""
+        self._add(x, y, max(np.size(x), 1), colour, style)
+
+    def dots(self, x: Array, y: Array, colour: str, **style: object) -> None:
+        """Draw a dot at each point."""
+        self._add(x, y, 1, colour, style)
+
+    def bars(self, x: Array, height: Array, width: float, colour: str, **style: object) -> None:
+        """Draw bars that stand on zero, or on the frame if the axis is logarithmic."""
+        corners = np.stack([x - width / 2, x - width / 2, x + width / 2, x + width / 2], axis=1)
+        zero = np.zeros_like(height)
+        self._add(corners, np.stack([zero, height, height, zero], axis=1), 4, colour, {"filled": True, **style})
+
+    def error_bars(self, x: Array, low: Array, high: Array, colour: str, **style: object) -> None:
+        """Draw upright lines between two values."""
+        self._add(np.stack([x, x], axis=1), np.stack([low, high], axis=1), 2, colour, style)
+
+    def _add(self, x: Array, y: Array, together: int, colour: str, style: dict) -> None:
+        self.marks.append(Mark(x=np.ravel(x), y=np.ravel(y), together=together, colour=colour, **style))
+
+    @property
+    def x_values(self) -> Array:
+        """Return where marks are, (N,)."""
+        if self.names:
+            return np.array([-0.5, len(self.names) - 0.5])
+        return np.concatenate([mark.x for mark in self.marks]) if self.marks else np.zeros(0)
+
+    def svg(self, x_values: Array) -> str:
+        """Return the panel, with an axis for some values below."""
+        left, top, wide, high = self.place
+        y_values = np.concatenate([np.array(self.levels), *(mark.y for mark in self.marks)])
+        x_low, x_high = _limits(x_values)
+        y_low, y_high = _limits(np.log10(y_values[y_values > 0.0]) if self.log else y_values)
+        if any(mark.filled for mark in self.marks) and not self.log:
+            y_low = max(y_low, min(0.0, float(y_values.min())))  # bars stand on the frame
+
+        def across(x: Array) -> Array:
+            return left + wide * (x - x_low) / (x_high - x_low)
+
+        def upright(y: Array) -> Array:
+            scaled = np.log10(np.maximum(y, 1e-300)) if self.log else y
+            return top + high * (1.0 - np.clip((scaled - y_low) / (y_high - y_low), 0.0, 1.0))
+
+        parts = [_path(mark, across(mark.x), upright(mark.y)) for mark in self.marks]
+        ends = np.array([left, left + wide])
+        parts += [_stroke(ends, upright(np.full(2, y)), 2, 'stroke="#000" stroke-width="5"') for y in self.levels]
+        x_ticks = np.arange(len(self.names), dtype=float) if self.names else ticks(x_low, x_high)
+        y_ticks = _decades(y_low, y_high) if self.log else ticks(y_low, y_high)
+        bottom, out = top + high, 3 * POINT
+        x_at, y_at = across(x_ticks), upright(y_ticks)
+        x_ends = np.concatenate((np.repeat(x_at, 2), np.tile([left - out, left], y_at.size)))
+        y_ends = np.concatenate((np.tile([bottom, bottom + out], x_at.size), np.repeat(y_at, 2)))
+        parts.append(_stroke(x_ends, y_ends, 2, 'stroke="#000" stroke-width="8"'))
+        parts.append(
+            f'<rect x="{left:.0f}" y="{top:.0f}" width="{wide:.0f}" height="{high:.0f}" '
+            'fill="none" stroke="#000" stroke-width="8"/>'
+        )
+        if self.numbered:
+            names = self.names or [_number(x) for x in x_ticks]
+            parts += [text(n, x, bottom + 11 * POINT, anchor="middle") for n, x in zip(names, x_at, strict=True)]
+        parts += [
+            text(_number(v), left - 5 * POINT, y + 2.5 * POINT, anchor="end")
+            for v, y in zip(y_ticks, y_at, strict=True)
+        ]
+        parts.append(text(self.x_label, left + wide / 2, bottom + 21 * POINT, size=8, anchor="middle"))
+        parts.append(text(self.y_label, left - 33 * POINT, top + high / 2, size=8, anchor="middle", turned=True))
+        parts.append(text(self.title, left, top - 4 * POINT, size=9))
+        return "".join([*parts, self._box() if self.boxed else ""])
+
+    def _box(self) -> str:
+        """Return the labels of the marks, in the corner above which a line from the left end goes up, or down."""
+        left, top, wide, _ = self.place
+        labelled, size = [mark for mark in self.marks if mark.label], 6.5
+        width = (max((len(mark.label) for mark in labelled), default=0) * LETTER * size + 16) * POINT
+        rising = labelled[-1].y[-1] >= labelled[-1].y[0] if labelled else True
+        start, step = left + 4 * POINT if rising else left + wide - width - 4 * POINT, (size + 2) * POINT
+        high = len(labelled) * step + 2 * POINT
+        parts = [f'<rect x="{start:.0f}" y="{top + 40:.0f}" width="{width:.0f}" height="{high:.0f}" fill="#fffc"/>']
+        for place, mark in enumerate(labelled, start=1):
+            y = top + 40 + place * step
+            parts += [
+                _sample(mark, start + 2 * POINT, y - 2 * POINT),
+                text(mark.label, start + 14 * POINT, y, size=size),
+            ]
+        return "".join(parts)
+
+
+@dataclass(kw_only=True)
+class Figure:
+    """Panels below a title."""
+
+    title: str
+    size: tuple[float, float]
+    """Width and height."""
+
+    columns: list[list[Panel]]
+    shared: bool
+    """Whether the panels of a column have one axis below."""
+
+    legend: Sequence[Mark] = ()
+    """Marks that are told by name above all panels."""
+
+    def svg(self) -> str:
+        """Return the text of the figure. A panel without anything in it stays blank."""
+        wide, high = self.size
+        parts = [text(self.title, LEFT * INCH, 14 * POINT, size=9)]
+        at = wide - RIGHT * INCH
+        for mark in reversed(self.legend):
+            parts.append(text(mark.label, at, 10 * POINT, anchor="end"))
+            at -= (len(mark.label) * LETTER * 7 + 13) * POINT
+            parts.append(_sample(mark, at, 8 * POINT))
+            at -= 12 * POINT
+        for column in self.columns:
+            drawn = [panel for panel in column if panel.marks or panel.x_label]
+            together = [panel.x_values for panel in drawn]
+            for own, panel in zip(together, drawn, strict=True):
+                parts.append(panel.svg(np.concatenate(together) if self.shared else own))
+        return (
+            f'<svg role="img" aria-label="{escape(self.title)}" width="{wide / 10:.0f}" height="{high / 10:.0f}" '
+            f'viewBox="0 0 {wide:.0f} {high:.0f}" font-family="sans-serif" fill="none">{"".join(parts)}</svg>'
+        )
 
 
 def panels(
@@ -32,8 +208,8 @@ def panels(
     title: str,
     gap: tuple[float, float] = (0.55, 0.42),
     sharex: bool = False,
-) -> tuple[Figure, np.ndarray]:
-    """Return a figure of ``rows`` times ``columns`` panels, and these.
+) -> tuple[Figure, list[list[Panel]]]:
+    """Return a figure of ``rows`` times ``columns`` panels, and these, row by row.
 
     Args:
         rows: Number of rows.
@@ -44,53 +220,101 @@ def panels(
         gap: Between columns and rows [in].
         sharex: Whether the panels of a column share their axis, whose numbers then stand below the last one.
     """
-    widths = [width] * columns if isinstance(width, float | int) else list(width)
-    wide = LEFT + sum(widths) + gap[0] * (columns - 1) + RIGHT
-    high = TOP + height * rows + gap[1] * (rows - 1) + BOTTOM
-    figure = Figure(figsize=(wide, high))
-    axes = figure.subplots(
-        rows,
-        columns,
-        squeeze=False,
-        sharex="col" if sharex else False,
-        gridspec_kw={
-            "left": LEFT / wide,
-            "right": 1.0 - RIGHT / wide,
-            "top": 1.0 - TOP / high,
-            "bottom": BOTTOM / high,
-            "wspace": gap[0] * columns / sum(widths),
-            "hspace": gap[1] / height,
-            "width_ratios": widths,
-        },
-    )
-    for axis in axes.ravel():
-        axis.tick_params(labelsize=7, length=2.5, pad=2)
-        axis.locator_params(nbins=5)
-        axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.4g}"))
-    figure.text(LEFT / wide, 1.0 - 0.08 / high, title, fontsize=9, va="top")
-    return figure, axes
+    widths = [float(width)] * columns if isinstance(width, float | int) else list(width)
+    lefts = LEFT + np.concatenate(([0.0], np.cumsum(np.array(widths) + gap[0])))
+    grid = [
+        [
+            Panel(
+                place=(lefts[column] * INCH, (TOP + row * (height + gap[1])) * INCH, wide * INCH, height * INCH),
+                numbered=not sharex or row == rows - 1,
+            )
+            for column, wide in enumerate(widths)
+        ]
+        for row in range(rows)
+    ]
+    size = (lefts[-1] - gap[0] + RIGHT) * INCH, (TOP + rows * (height + gap[1]) - gap[1] + BOTTOM) * INCH
+    by_column = [list(column) for column in zip(*grid, strict=True)]
+    return Figure(title=title, size=size, columns=by_column, shared=sharex), grid
 
 
-def legend(figure: Figure, axis: Axes) -> None:
-    """Write what the lines of a panel are above all of them, where they hide nothing."""
-    wide, high = figure.get_size_inches()
-    corner = (1.0 - RIGHT / wide, 1.0 - 0.02 / high)
-    lines, labels = axis.get_legend_handles_labels()
-    options = {"fontsize": 7, "ncols": len(labels), "frameon": False, "borderpad": 0.2, "handlelength": 1.4}
-    figure.legend(lines, labels, loc="upper right", bbox_to_anchor=corner, **options)
+def ticks(low: float, high: float) -> Array:
+    """Return the round numbers of an axis: steps of 1, 2, 2.5 or 5 times a power of ten, as many as there is place for."""
+    least = (high - low) / MOST_TICKS
+    power = 10.0 ** np.floor(np.log10(least))
+    step = power * next(factor for factor in (1.0, 2.0, 2.5, 5.0, 10.0) if factor * power >= least)
+    return step * np.arange(np.ceil(low / step), np.floor(high / step) + 1.0)
 
 
-def zero_line(axis: Axes) -> None:
-    """Draw the line at zero."""
-    axis.axhline(0.0, color="black", linewidth=0.4)
+def _decades(low: float, high: float) -> Array:
+    """Return the numbers of a logarithmic axis between two powers of ten: some powers, or 1, 2 and 5 times one."""
+    powers = np.arange(np.ceil(low), np.floor(high) + 1.0)
+    if powers.size > 1:
+        return 10.0 ** powers[:: -(-powers.size // MOST_TICKS)]
+    found = np.outer(10.0 ** np.arange(np.floor(low), high + 1.0), [1.0, 2.0, 5.0]).ravel()
+    return found[(found >= 10.0**low) & (found <= 10.0**high)]
 
 
-def png(figure: Figure) -> str:
-    """Return a figure as the text of a PNG with a palette, in base 64."""
-    figure.set_dpi(DPI)
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    image = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
-    buffer = io.BytesIO()
-    image.quantize(COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(buffer, "png")
-    return base64.b64encode(buffer.getvalue()).decode("ascii")
+def _limits(values: Array) -> tuple[float, float]:
+    """Return the ends of an axis."""
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+    span = high - low if high - low > 1e-12 * max(abs(low), abs(high)) else max(abs(low), 1.0)
+    return low - MARGIN * span, high + MARGIN * span
+
+
+def _thinned(x: Array, y: Array) -> tuple[Array, Array]:
+    """Return the lowest and the highest point in each column of pixels, in the order in which a line along x comes by."""
+    column = x // 10.0
+    order = np.lexsort((y, column))
+    new = np.flatnonzero(np.diff(column[order], prepend=-1.0))
+    keep = np.unique(np.concatenate((order[new], order[np.append(new[1:], x.size) - 1])))
+    return x[keep], y[keep]
+
+
+def _path(mark: Mark, x: Array, y: Array) -> str:
+    """Return a mark whose points are known in the drawing."""
+    known = np.isfinite(x) & np.isfinite(y)
+    if mark.together in (1, x.size):
+        x, y = x[known], y[known]
+    if mark.together == 1:
+        x, y = np.unique(np.stack((x, y), axis=1) // 10.0 * 10.0, axis=0).T  # one dot a pixel
+    elif mark.together > 4 and x.size > 2.0 * (x.max() - x.min()) / 10.0:
+        x, y = _thinned(x, y)
+    return _stroke(x, y, min(mark.together, max(x.size, 1)), _style(mark))
+
+
+def _style(mark: Mark) -> str:
+    if mark.filled:
+        return f'fill="{mark.colour}"'
+    more = f' stroke-opacity="{mark.alpha:g}"' if mark.alpha < 1.0 else ""
+    more += ' stroke-dasharray="50 25"' if mark.dashed else ""
+    more += ' stroke-linecap="round"' if mark.together == 1 else ' stroke-linejoin="round"'
+    return f'stroke="{mark.colour}" stroke-width="{mark.width * POINT:.0f}"{more}'
+
+
+def _stroke(x: Array, y: Array, together: int, style: str) -> str:
+    """Return a path that joins so many points each; a single one is a dot."""
+    points = np.rint(np.stack((x, y), axis=1)).astype(np.int64).reshape(-1, 2 * together).tolist()
+    end = "h0" if together == 1 else ""
+    strokes = [f"M{' '.join(map(str, one))}{end}" for one in points]
+    return f'<path {style} d="{"".join(strokes)}"/>'
+
+
+def _sample(mark: Mark, x: float, y: float) -> str:
+    """Return a short stroke in the manner of a mark."""
+    wide = 5.0 if mark.filled or mark.together == 1 else max(mark.width, 1.0)
+    style = f'stroke="{mark.colour}" stroke-width="{wide * POINT:.0f}"'
+    return _stroke(np.array([x, x + 10 * POINT]), np.array([y, y]), 2, style)
+
+
+def _number(value: float) -> str:
+    return f"{value + 0.0:.4g}"
+
+
+def text(words: str, x: float, y: float, *, size: float = 7, anchor: str = "start", turned: bool = False) -> str:
+    """Return words at a point, of a size [pt]."""
+    if not words:
+        return ""
+    turn = f' transform="rotate(-90 {x:.0f} {y:.0f})"' if turned else ""
+    place = f'x="{x:.0f}" y="{y:.0f}" font-size="{size * POINT:.0f}" text-anchor="{anchor}"'
+    return f'<text {place}{turn} fill="#000">{escape(words)}</text>'

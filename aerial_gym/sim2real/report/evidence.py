@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
@@ -21,7 +20,7 @@ from aerial_gym.sim2real.identify.least_squares.parameters import scales
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.report.canvas import panels, png
+from aerial_gym.sim2real.report.canvas import Panel, panels
 
 Array = NDArray[np.float64]
 
@@ -143,9 +142,9 @@ def evidence(effect: str, found: list[Clue]) -> str:
     """Return a panel for each parameter."""
     shown = [clue for clue in found if clue.shown]
     figure, axes = panels(1, max(len(shown), 1), width=3.3, height=2.6, title=effect, gap=(0.6, 0.0))
-    for axis, clue in zip(axes[0], shown, strict=False):
-        _draw(axis, clue)
-    return png(figure)
+    for panel, clue in zip(axes[0], shown, strict=False):
+        _draw(panel, clue)
+    return figure.svg()
 
 
 def write_evidence(path: Path, found: Mapping[str, Sequence[Clue]]) -> None:
@@ -161,16 +160,15 @@ def write_evidence(path: Path, found: Mapping[str, Sequence[Clue]]) -> None:
     pd.DataFrame(rows, columns=columns).to_csv(path, index=False, float_format="%.6g")
 
 
-def _draw(axis: Axes, clue: Clue) -> None:
+def _draw(panel: Panel, clue: Clue) -> None:
     for cloud, colour in zip(clue.shown, COLOURS, strict=False):
         step = max(1, cloud.adds.size // MOST_POINTS)
         name = f"{cloud.channel.kind.replace('_', ' ')} {cloud.channel.axis}"
         label = f"{name} alone: {cloud.alone:.4g} ± {1.96 * cloud.std:.2g}"
-        axis.plot(cloud.adds[::step], cloud.beyond[::step], ".", markersize=1.8, alpha=0.45, color=colour, label=label)
+        panel.dots(cloud.adds[::step], cloud.beyond[::step], colour, width=1.8, alpha=0.45, label=label)
     ends = np.array([min(c.adds.min() for c in clue.shown), max(c.adds.max() for c in clue.shown)])
+    line = (clue.fitted - clue.neutral) / clue.scale * ends
+    panel.line(ends, line, LINE, width=1.6, label=f"{clue.parameter} = {clue.fitted:.4g}")
     unit = "" if clue.unit == "-" else f" {clue.unit}"
-    line = f"{clue.parameter} = {clue.fitted:.4g}"
-    axis.plot(ends, (clue.fitted - clue.neutral) / clue.scale * ends, color=LINE, linewidth=1.6, label=line)
-    axis.set_xlabel(f"what {clue.scale:g}{unit} of {clue.parameter} would add", fontsize=8, labelpad=1)
-    axis.set_ylabel("measured without it (units of the fit)", fontsize=8, labelpad=2)
-    axis.legend(fontsize=6.5, markerscale=4.0, borderpad=0.25, handlelength=1.0)
+    panel.x_label = f"what {clue.scale:g}{unit} of {clue.parameter} would add"
+    panel.y_label, panel.boxed = "measured without it (units of the fit)", True

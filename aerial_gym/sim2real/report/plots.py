@@ -1,10 +1,9 @@
-"""Figures of a report as PNG text that stands inside the page."""
+"""Figures of a report as SVG text that stands inside the page."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from scipy import signal
 
@@ -14,14 +13,18 @@ from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
-from aerial_gym.sim2real.report.canvas import legend, panels, png, zero_line
+from aerial_gym.sim2real.report.canvas import Panel, panels
 from aerial_gym.sim2real.report.profiles import FEWEST_ROWS, Profile, bin_edges, place_in
+from aerial_gym.sim2real.statistics import Rms
 
 Array = NDArray[np.float64]
 
 DECLARED, CORRECTED, MEASURED, FLOOR = "#b0413e", "#2a6f97", "#222222", "#888888"
 COLOURS = {"declared": DECLARED, "corrected": CORRECTED}
 SHOWN_KINDS = ("specific_force", "angular_acceleration", "rotor_speed")
+
+FLIGHTS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f", "#bcbd22", "#17becf")
+"""Of flights, in turn."""
 
 SEGMENT_S = 8.0
 """Of a spectrum [s]."""
@@ -71,18 +74,22 @@ def traces(predictor: Predictor, models: Mapping[str, ModelParams], kind: str) -
     title = f"{kind.replace('_', ' ')}, {predictor.flights[index].name}: measured and predicted"
     figure, axes = panels(len(places), 2, width=(4.6, 5.2), height=1.25, title=title, gap=(0.62, 0.12), sharex=True)
     for (left, right), place in zip(axes, places, strict=True):
-        left.plot(time[window], measured[window, place], color=MEASURED, linewidth=1.2, label="measured")
+        left.line(time[window], measured[window, place], MEASURED, width=1.2, label="measured")
         for model, flights in predicted.items():
             values, colour = flights[index][:, place], COLOURS[model]
-            left.plot(time[window], values[window], color=colour, linewidth=0.8, label=model)
-            right.plot(time, measured[:, place] - values, color=colour, linewidth=0.6, label=model)
-        left.set_ylabel(f"{predictor.channels[place].axis} [{predictor.channels[place].unit}]", fontsize=8, labelpad=2)
-        zero_line(right)
-    axes[0, 1].set_title("measured minus predicted", fontsize=9, pad=3, loc="left")
-    legend(figure, axes[0, 0])
-    for axis in axes[-1]:
-        axis.set_xlabel("t [s]", fontsize=8, labelpad=1)
-    return png(figure)
+            left.line(time[window], values[window], colour, label=model)
+            right.line(time, measured[:, place] - values, colour, width=0.6)
+        left.y_label = _axis(predictor.channels[place])
+        right.levels.append(0.0)
+    axes[0][1].title = "measured minus predicted"
+    figure.legend = axes[0][0].marks
+    for panel in axes[-1]:
+        panel.x_label = "t [s]"
+    return figure.svg()
+
+
+def _axis(channel: Channel) -> str:
+    return f"{channel.axis} [{channel.unit}]"
 
 
 def _differ(one: Sequence[Array], other: Sequence[Array], places: Sequence[int]) -> bool:
@@ -104,31 +111,19 @@ def residual_profiles(found: Sequence[Profile], channels: Sequence[Channel], kin
     title = kind.replace("_", " ")
     figure, axes = panels(len(places), len(found), width=2.35, height=1.25, title=title, gap=(0.5, 0.12), sharex=True)
     for row, place in zip(axes, places, strict=True):
-        for axis, profile in zip(row, found, strict=True):
+        for panel, profile in zip(row, found, strict=True):
             for model, means in profile.residual.items():
-                _means(axis, profile.middle, means.mean[:, place], means.half_width[:, place], COLOURS[model], model)
-            zero_line(axis)
-        row[0].set_ylabel(f"{channels[place].axis} [{channels[place].unit}]", fontsize=8, labelpad=2)
-    for axis, profile in zip(axes[-1], found, strict=True):
-        axis.set_xlabel(profile.against, fontsize=8, labelpad=1)
-    legend(figure, axes[0, 0])
-    return png(figure)
-
-
-def _means(axis: Axes, at: Array, mean: Array, half_width: Array, colour: str, label: str) -> None:
-    known = np.isfinite(half_width)
-    axis.errorbar(
-        at[known],
-        mean[known],
-        yerr=half_width[known],
-        color=colour,
-        linewidth=0.8,
-        elinewidth=0.8,
-        capsize=1.5,
-        marker="o",
-        markersize=2.2,
-        label=label,
-    )
+                known = np.isfinite(means.half_width[:, place])
+                at, mean, half = profile.middle[known], means.mean[known, place], means.half_width[known, place]
+                panel.line(at, mean, COLOURS[model], label=model)
+                panel.dots(at, mean, COLOURS[model], width=2.2)
+                panel.error_bars(at, mean - half, mean + half, COLOURS[model])
+            panel.levels.append(0.0)
+        row[0].y_label = _axis(channels[place])
+    for panel, profile in zip(axes[-1], found, strict=True):
+        panel.x_label = profile.against
+    figure.legend = [mark for mark in axes[0][0].marks if mark.label]
+    return figure.svg()
 
 
 def what_remains(parts: Sequence[Rest], channel: Channel) -> str:
@@ -139,50 +134,40 @@ def what_remains(parts: Sequence[Rest], channel: Channel) -> str:
     titles = [title for title in parts[0].quantities if all(title in part.quantities for part in parts)]
     columns = min(4, 1 + len(titles))
     rows = -(-(1 + len(titles)) // columns)
-    title = channel.name
-    figure, grid = panels(rows, columns, width=2.35, height=1.5, title=title, gap=(0.6, 0.5))
-    axes = grid.ravel()
-    for part in parts:
+    figure, grid = panels(rows, columns, width=2.35, height=1.5, title=channel.name, gap=(0.6, 0.5))
+    first, *others = (panel for row in grid for panel in row)
+    for place, part in enumerate(parts):
         rate = 1.0 / float(np.median(np.diff(part.time)))
         length = min(part.values.size, round(SEGMENT_S * rate))
         frequency, density = signal.welch(part.values, rate, nperseg=length, detrend="linear")
-        axes[0].semilogy(frequency[1:], np.sqrt(density[1:]), linewidth=0.7, alpha=0.7)
-    axes[0].set_xlabel("frequency [Hz]", fontsize=8, labelpad=1)
-    axes[0].set_ylabel(f"{channel.unit} / √Hz", fontsize=8, labelpad=2)
-    for axis, title in zip(axes[1:], titles, strict=False):
+        first.line(frequency[1:], np.sqrt(density[1:]), FLIGHTS[place % len(FLIGHTS)], width=0.7, alpha=0.7)
+    first.log, first.x_label, first.y_label = True, "frequency [Hz]", f"{channel.unit} / √Hz"
+    for panel, title in zip(others, titles, strict=False):
         turned = title in PLACES and channel.kind == "specific_force"
-        _per_flight(axis, [p.quantities[title] for p in parts], [p.world if turned else p.values for p in parts])
-        axis.set_xlabel(title, fontsize=8, labelpad=1)
-        axis.set_ylabel(f"{'world ' if turned else ''}[{channel.unit}]", fontsize=8, labelpad=2)
-    for axis in axes[1 + len(titles) :]:
-        axis.remove()
-    return png(figure)
+        _per_flight(panel, [p.quantities[title] for p in parts], [p.world if turned else p.values for p in parts])
+        panel.x_label, panel.y_label = title, f"{'world ' if turned else ''}[{channel.unit}]"
+    return figure.svg()
 
 
 PLACES = ("x [m]", "y [m]", "height [m]")
 """Against these a force is drawn in world axes."""
 
 
-def _per_flight(axis: Axes, places: Sequence[Array], values: Sequence[Array]) -> None:
+def _per_flight(panel: Panel, places: Sequence[Array], values: Sequence[Array]) -> None:
     """Draw means over bins of equal count, a line per flight and a thick one of all."""
     edges = bin_edges(np.concatenate(places))
     if edges.size < 3:
         return
     together = np.concatenate(places), np.concatenate(values)
-    for place, value in (*zip(places, values, strict=True), together):
+    for number, (place, value) in enumerate((*zip(places, values, strict=True), together)):
         thick = place is together[0]
         index = place_in(edges, place)
         count = np.maximum(np.bincount(index, minlength=edges.size - 1), 1)
         means = [np.bincount(index, weights=v, minlength=edges.size - 1) / count for v in (place, value)]
         enough = count >= FEWEST_ROWS
-        axis.plot(
-            means[0][enough],
-            means[1][enough],
-            linewidth=2.0 if thick else 0.7,
-            alpha=1.0 if thick else 0.6,
-            color=CORRECTED if thick else None,
-        )
-    zero_line(axis)
+        colour = CORRECTED if thick else FLIGHTS[number % len(FLIGHTS)]
+        panel.line(means[0][enough], means[1][enough], colour, width=2.0 if thick else 0.7, alpha=1.0 if thick else 0.6)
+    panel.levels.append(0.0)
 
 
 def residual_bars(before: Evaluation, after: Evaluation | None) -> str:
@@ -190,16 +175,17 @@ def residual_bars(before: Evaluation, after: Evaluation | None) -> str:
     kinds = [kind for kind in SHOWN_KINDS if any(channel.kind == kind for channel in before.channels)]
     title = "residual (rms)"
     figure, axes = panels(1, len(kinds), width=2.9, height=2.1, title=title, gap=(0.55, 0.0))
-    for axis, kind in zip(axes[0], kinds, strict=True):
+    for panel, kind in zip(axes[0], kinds, strict=True):
         places = [place for place, channel in enumerate(before.channels) if channel.kind == kind]
         channels = [before.channels[place] for place in places]
-        _bars(axis, [c.axis for c in channels], [[e.residual[p] for p in places] for e in (before, after) if e])
+        _bars(panel, [c.axis for c in channels], [[e.residual[p] for p in places] for e in (before, after) if e])
         if before.floor is not None:
             for at, place in enumerate(places):
-                axis.plot([at - 0.4, at + 0.4], [before.floor[place]] * 2, color=FLOOR, linestyle="--", linewidth=1.2)
-        axis.set_xlabel(f"{kind.replace('_', ' ')} [{channels[0].unit}]", fontsize=8, labelpad=1)
-    legend(figure, axes[0, 0])
-    return png(figure)
+                ends = np.array([at - 0.4, at + 0.4])
+                panel.line(ends, np.full(2, before.floor[place]), FLOOR, width=1.2, dashed=True)
+        panel.x_label = f"{kind.replace('_', ' ')} [{channels[0].unit}]"
+    figure.legend = [mark for mark in axes[0][0].marks if mark.label]
+    return figure.svg()
 
 
 def rollout_bars(before: Evaluation, after: Evaluation | None, variant: str) -> str:
@@ -207,24 +193,20 @@ def rollout_bars(before: Evaluation, after: Evaluation | None, variant: str) -> 
     quantities = list(before.rollout[variant])
     title = "open-loop error (rms)"
     figure, axes = panels(1, len(quantities), width=2.9, height=2.1, title=title, gap=(0.55, 0.0))
-    for axis, quantity in zip(axes[0], quantities, strict=True):
+    for panel, quantity in zip(axes[0], quantities, strict=True):
         horizons = list(before.rollout[variant][quantity])
         rows = [list(e.rollout[variant][quantity].values()) for e in (before, after) if e]
-        _bars(axis, [f"{h:g} s" for h in horizons], rows)
-        axis.set_yscale("log")
-        axis.set_xlabel(f"{quantity} [{QUANTITIES[quantity]}]", fontsize=8, labelpad=1)
-    legend(figure, axes[0, 0])
-    return png(figure)
+        _bars(panel, [f"{h:g} s" for h in horizons], rows)
+        panel.log, panel.x_label = True, f"{quantity} [{QUANTITIES[quantity]}]"
+    figure.legend = [mark for mark in axes[0][0].marks if mark.label]
+    return figure.svg()
 
 
-def _bars(axis: Axes, labels: Sequence[str], rows: Sequence[Sequence]) -> None:
-    width = 0.8 / len(rows)
-    for index, (values, color) in enumerate(zip(rows, (DECLARED, CORRECTED), strict=False)):
-        at = np.arange(len(labels)) + (index - 0.5 * (len(rows) - 1)) * width
-        height = np.array([value.value for value in values])
-        spread = np.array([[v.value - v.low for v in values], [v.high - v.value for v in values]])
-        name = ("declared", "corrected")[index]
-        axis.bar(
-            at, height, width, yerr=np.maximum(spread, 0.0), color=color, capsize=2, label=name, error_kw={"lw": 0.8}
-        )
-    axis.set_xticks(np.arange(len(labels)), labels, fontsize=8)
+def _bars(panel: Panel, names: Sequence[str], rows: Sequence[Sequence[Rms]]) -> None:
+    """Draw a value of each name, of each model beside the other, with its interval."""
+    width, panel.names = 0.8 / len(rows), names
+    for index, (values, (model, colour)) in enumerate(zip(rows, COLOURS.items(), strict=False)):
+        at = np.arange(len(names)) + (index - 0.5 * (len(rows) - 1)) * width
+        value, low, high = np.array([(v.value, v.low, v.high) for v in values]).T
+        panel.bars(at, value, width, colour, label=model)
+        panel.error_bars(at, np.minimum(low, value), np.maximum(high, value), MEASURED)

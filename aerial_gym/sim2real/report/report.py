@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.evaluation import missing_for_rollouts
@@ -54,6 +53,8 @@ def write_report(folder: Path, judged: Judged) -> None:
 
 def render(name: str, context: dict[str, object]) -> str:
     """Return a template of this package, filled."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES),
         autoescape=name.endswith(".html"),

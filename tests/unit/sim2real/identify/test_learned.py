@@ -127,7 +127,6 @@ def test_flights_without_velocity_and_a_robot_that_has_one_are_refused(tmp_path:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("no_pixels")
 def test_the_loop_adds_it_beside_the_verdict(tmp_path: Path) -> None:
     """Named effects come first; the verdict stays unexplained, and the corrected robot is replayed with the network.
 

@@ -139,7 +139,6 @@ def test_hidden_springs_are_named_and_found(seed: int, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("no_pixels")
 def test_the_loop_names_joints_beside_effects(tmp_path: Path) -> None:
     """By their angles; a mapping is refused, as it would hide them."""
     (tmp_path / "robot.yaml").write_text(dump_yaml(robot()))
