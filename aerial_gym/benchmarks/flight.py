@@ -14,13 +14,13 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.env_manager import robot_by_name
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.physics import BACKENDS, EFFECTS, BodyState, PhysicsBackend, build_model, vehicle_from_config
 from aerial_gym.physics.articulated.articulation import Articulation, articulation_of
 from aerial_gym.physics.model import EffectParams
 from aerial_gym.physics.state import JointedState, state_at_rest
 from aerial_gym.physics.vehicle import Vehicle
+from aerial_gym.robots.catalog import robot_by_name
 
 LAUNCHES_PER_BATCH = 20
 """Launches in one CUDA graph: the cost of starting a replay is shared by them."""

@@ -34,8 +34,8 @@ class CheckCmd:
 
     def run(self) -> int:
         """Check and print; return 0, or 1 if a robot cannot fly as described."""
-        from aerial_gym.env_manager.sim_builder import robot_by_name
         from aerial_gym.errors import ConfigError
+        from aerial_gym.robots.catalog import robot_by_name
         from aerial_gym.robots.check import check_robot, draw_rotors
 
         if self.picture is not None and len(self.robots) != 1:

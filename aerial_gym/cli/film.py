@@ -46,7 +46,7 @@ def check_film(file: Path) -> None:
 def visible_robot(name: str, folder: str) -> str:
     """Return a file, in a folder, of a robot that cameras see: as it says, or arms and rotors, those in front in red."""
     from aerial_gym.config import dump_yaml
-    from aerial_gym.env_manager import robot_by_name
+    from aerial_gym.robots.catalog import robot_by_name
 
     robot, file = robot_by_name(name), Path(folder) / "robot.yaml"
     seen = replace(

@@ -241,7 +241,7 @@ def _read(files: tuple[Path, ...], columns: dict[str, str], units: dict[str, str
 
 
 def _robot(name: str | None) -> "RobotCfg | None":
-    from aerial_gym.env_manager.sim_builder import robot_by_name
+    from aerial_gym.robots.catalog import robot_by_name
 
     return None if name is None else robot_by_name(name)
 

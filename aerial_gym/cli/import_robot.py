@@ -39,7 +39,7 @@ class ImportRobotCmd:
     def run(self) -> int:
         """Import, write and say what was left out; return the exit status."""
         from aerial_gym.config.loader import dump_yaml
-        from aerial_gym.env_manager.sim_builder import robot_by_name
+        from aerial_gym.robots.catalog import robot_by_name
         from aerial_gym.robots.importers import RotorHints, import_robot
 
         others = None if self.rotors_of is None else robot_by_name(self.rotors_of)

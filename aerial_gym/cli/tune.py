@@ -32,7 +32,7 @@ class TuneCmd:
 
     def run(self) -> int:
         """Tune and print; return 0, or 1 if the sampled loop would not come to rest."""
-        from aerial_gym.env_manager.sim_builder import robot_by_name
+        from aerial_gym.robots.catalog import robot_by_name
         from aerial_gym.robots.tune import tune_robot
 
         robot = robot_by_name(self.robot)

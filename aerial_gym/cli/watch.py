@@ -35,9 +35,9 @@ class WatchCmd:
 
     def run(self) -> int:
         """Print a line for each failure as soon as it is known; return the exit status."""
-        from aerial_gym.env_manager.sim_builder import robot_by_name
         from aerial_gym.errors import DataError
         from aerial_gym.interop import one_thread
+        from aerial_gym.robots.catalog import robot_by_name
         from aerial_gym.sim2real.failures.watch import NAMED, Watch
 
         robot, lines, name = (

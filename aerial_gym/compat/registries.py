@@ -15,11 +15,12 @@ from aerial_gym.compat.config import controllers, environments, robots, sims, ta
 from aerial_gym.compat.config.fields import Table, fresh
 from aerial_gym.config.randomize import Randomize
 from aerial_gym.control import CONTROLLERS
-from aerial_gym.env_manager import SIMS, robot_by_name
+from aerial_gym.env_manager import SIMS
 from aerial_gym.env_manager.sim_builder import environment_by_name
 from aerial_gym.errors import CapabilityError, ConfigError, DuplicateNameError, UnknownNameError
 from aerial_gym.registry import Registry
 from aerial_gym.robots import ROBOTS
+from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.task import task_registry as TASKS  # noqa: N812 (as the other registries of ours)
 
 

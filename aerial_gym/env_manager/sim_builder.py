@@ -14,29 +14,20 @@ from aerial_gym.config.checks import MAX_COUNT
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.environment import EnvironmentCfg, load_environment
 from aerial_gym.config.randomize import Randomize
-from aerial_gym.config.robot import RobotCfg, load_robot
+from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager.catalog import SIMS
 from aerial_gym.env_manager.env_manager import EnvManager
 from aerial_gym.errors import AerialGymError, CapabilityError, ConfigError
 from aerial_gym.interop import resolve_device
-from aerial_gym.robots import ROBOTS
+from aerial_gym.robots.catalog import robot_by_name
 
 OUT_OF_MEMORY = ("allocate memory", "out of memory", "not enough memory", "overflow", "Failed to allocate", "too large")
 """What of torch's and Warp's messages says that something does not fit."""
 
 LEAST_BYTES = 100
 """Of an environment without anything around it: pose, twist, four rotors and a target take more."""
-
-
-def robot_by_name(name: str | Path | RobotCfg) -> RobotCfg:
-    """Return a registered robot, or the one in a robot file if ``name`` ends in ``.yaml``; a configuration as it is."""
-    if isinstance(name, RobotCfg):
-        return name
-    if str(name).endswith((".yaml", ".yml")):
-        return load_robot(name)
-    return ROBOTS.get(str(name))
 
 
 def environment_by_name(name: str | Path | EnvironmentCfg) -> EnvironmentCfg:

@@ -18,7 +18,6 @@ import torch
 
 from aerial_gym.config.storage import told_storage, write_whole
 from aerial_gym.control import CONTROLLERS
-from aerial_gym.env_manager import robot_by_name
 from aerial_gym.errors import ConfigError, MissingDependencyError
 from aerial_gym.physics import BACKENDS
 from aerial_gym.rl_training.policies.load import checkpoint_of, load_policy
@@ -30,6 +29,7 @@ from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.run.weights_and_biases import require_wandb, sent_to_wandb
 from aerial_gym.rl_training.settings import OWN, TrainingCfg
 from aerial_gym.rl_training.trainers.own import repeat
+from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sensors.encoder.file import load_encoder
 from aerial_gym.task import task_registry
 

@@ -1,6 +1,7 @@
 """Every robot that comes with the package, in one table."""
 
 from functools import partial
+from pathlib import Path
 
 from aerial_gym.config import files_of, summary_in
 from aerial_gym.config.robot import RobotCfg, load_robot
@@ -69,3 +70,12 @@ for _name in (
 ):
     _path = _FILES[_name]
     ROBOTS.register_later(_name, partial(load_robot, _path), summary=partial(summary_in, _path))
+
+
+def robot_by_name(name: str | Path | RobotCfg) -> RobotCfg:
+    """Return a registered robot, or the one in a robot file if ``name`` ends in ``.yaml``; a configuration as it is."""
+    if isinstance(name, RobotCfg):
+        return name
+    if str(name).endswith((".yaml", ".yml")):
+        return load_robot(name)
+    return ROBOTS.get(str(name))

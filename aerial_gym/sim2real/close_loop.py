@@ -7,9 +7,9 @@ from pathlib import Path
 
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import one_thread
+from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.in_memory import judge_flights
 from aerial_gym.sim2real.judge.verdict import Verdict

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.errors import DataError
 from aerial_gym.interop import one_thread
 from aerial_gym.physics.model import check_effects
+from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate, missing_for_rollouts
 from aerial_gym.sim2real.logs.flights import Flight, load_flights, notes_of, rigid_notes
 from aerial_gym.sim2real.logs.inputs import check_bandwidth, file_digests

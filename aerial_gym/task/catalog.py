@@ -76,7 +76,7 @@ class TaskRegistry(Registry[TaskCfg]):
         import torch
 
         from aerial_gym.env_manager import SimBuilder
-        from aerial_gym.env_manager.sim_builder import robot_by_name
+        from aerial_gym.robots.catalog import robot_by_name
         from aerial_gym.task.task import Task
 
         cfg = self.get(name)
@@ -134,7 +134,7 @@ class TaskRegistry(Registry[TaskCfg]):
 
 def _level(path: str) -> TaskCfg:
     """Return the task of a level of a racing benchmark."""
-    from aerial_gym.env_manager.sim_builder import robot_by_name
+    from aerial_gym.robots.catalog import robot_by_name
     from aerial_gym.task.racing_level import load_level
 
     base = task_registry.get("racing_task")

@@ -24,7 +24,6 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, LeeController, make_controller
 from aerial_gym.control.tuner import Tuning, tune_attitude, tune_position
-from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.errors import AerialGymError
 from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler
 from aerial_gym.physics import (
@@ -38,6 +37,7 @@ from aerial_gym.physics import (
 )
 from aerial_gym.physics.model import robot_effects
 from aerial_gym.physics.rotors import hover_speed
+from aerial_gym.robots.catalog import robot_by_name
 
 F64 = torch.float64
 CPU = torch.device("cpu")

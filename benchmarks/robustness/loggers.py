@@ -162,8 +162,8 @@ def rate_of(log: pd.DataFrame) -> float:
 
 def score(change: str, hidden: str, seed: int) -> dict[str, Any]:
     """Return what the loop makes of one case with its logs changed; what it raised stands under ``error``."""
-    from aerial_gym.env_manager.sim_builder import robot_by_name
     from aerial_gym.interop import one_thread
+    from aerial_gym.robots.catalog import robot_by_name
     from aerial_gym.sim2real.in_memory import judge_flights
     from aerial_gym.sim2real.logs.inputs import load_train_and_test
 

@@ -22,8 +22,8 @@ from functools import partial
 from pathlib import Path
 
 import aerial_gym.sim2real
-from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.interop import one_thread
+from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.in_memory import judge_flights
 from aerial_gym.sim2real.logs.inputs import load_train_and_test
 from benchmarks.undeclared import make_case

@@ -38,8 +38,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"{args.data}: no such folder", file=sys.stderr)
         return 2
 
-    from aerial_gym.env_manager.sim_builder import robot_by_name
     from aerial_gym.interop import one_thread
+    from aerial_gym.robots.catalog import robot_by_name
     from aerial_gym.sim2real.identify.selection.scoring import Criteria
     from aerial_gym.sim2real.identify.stages import declare, select
     from aerial_gym.sim2real.logs.inputs import load_train_and_test

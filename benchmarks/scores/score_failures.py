@@ -18,8 +18,8 @@ from statistics import median
 
 import numpy as np
 
-from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.interop import one_thread
+from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.failures.finding import Failure as Found
 from aerial_gym.sim2real.failures.finding import FailureFinder
 from aerial_gym.sim2real.failures.watch import NAMED, SUSPECTED, Alarm, Watch

@@ -131,8 +131,8 @@ SETS: dict[str, Measured] = {
 
 def score(name: str, data: Path) -> dict[str, object]:
     """Return what the loop makes of a set; what it raised stands under ``error``."""
-    from aerial_gym.env_manager.sim_builder import robot_by_name
     from aerial_gym.interop import one_thread
+    from aerial_gym.robots.catalog import robot_by_name
     from aerial_gym.sim2real.in_memory import judge_flights
     from aerial_gym.sim2real.logs.inputs import load_train_and_test
 

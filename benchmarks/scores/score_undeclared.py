@@ -90,8 +90,8 @@ class Job:
 
 def score(job: Job) -> dict[str, object]:
     """Return what the loop made of one case; what it raised stands under ``error``."""
-    from aerial_gym.env_manager.sim_builder import robot_by_name
     from aerial_gym.interop import one_thread
+    from aerial_gym.robots.catalog import robot_by_name
     from aerial_gym.sim2real.in_memory import judge_flights
     from aerial_gym.sim2real.logs.inputs import load_train_and_test
 

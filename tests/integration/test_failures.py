@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.physics.model import check_effects
+from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real import close_loop
 from aerial_gym.sim2real.failures.finding import Failure, FailureFinder
 from aerial_gym.sim2real.logs.flights import load_flights

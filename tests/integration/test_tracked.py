@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from aerial_gym.env_manager.sim_builder import robot_by_name
+from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.in_memory import judge_flights
 from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.logs.inputs import load_train_and_test

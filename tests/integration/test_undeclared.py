@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from _pytest.mark import ParameterSet
 
-from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.physics.model import check_effects
+from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real import close_loop
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from benchmarks.undeclared import make_case

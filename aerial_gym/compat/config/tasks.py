@@ -10,8 +10,8 @@ from aerial_gym.config.task import POLICY, CurriculumCfg, TaskCfg
 from aerial_gym.config.task_terms import CommandCfg
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.control.laws import LAWS
-from aerial_gym.env_manager import robot_by_name
 from aerial_gym.errors import ConfigError
+from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.task import ACTIONS, OBSERVATIONS, task_registry
 from aerial_gym.task.terms.term import ACTION
 

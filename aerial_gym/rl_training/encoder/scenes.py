@@ -14,9 +14,9 @@ from aerial_gym.assets.body_shapes import body_reach
 from aerial_gym.config.range_sensor import RangeSensorCfg
 from aerial_gym.config.robot import InitialStateCfg, RobotCfg
 from aerial_gym.env_manager import EnvManager, SimBuilder
-from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training.encoder.settings import EncoderTrainingCfg
+from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sensors import ray_table
 from aerial_gym.sensors.encoder.collision import collision_distance
 from aerial_gym.sensors.encoder.file import shares_of

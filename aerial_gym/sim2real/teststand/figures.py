@@ -1,13 +1,17 @@
 """Figures of bench identifications: data with the fit, and the residual below."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from aerial_gym.sim2real.teststand.hover import HoverFit
 from aerial_gym.sim2real.teststand.joints.record import JointStudy
 from aerial_gym.sim2real.teststand.static import StaticFit
 from aerial_gym.sim2real.teststand.step import StepFit
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -16,8 +20,10 @@ BEFORE, AFTER, DATA = "#b0413e", "#2a6f97", "#333333"
 
 def _pair(
     x: Array, measured: Array, before: Array, after: Array, names: tuple[str, str], labels: tuple[str, str]
-) -> Figure:
+) -> "Figure":
     """Return measurements with two predictions (upper) and what each misses (lower)."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(8.0, 6.0))
     upper, lower = figure.subplots(2, 1, sharex=True)
     order = np.argsort(x, kind="stable")
@@ -33,7 +39,7 @@ def _pair(
     return figure
 
 
-def static_figures(fit: StaticFit) -> dict[str, Figure]:
+def static_figures(fit: StaticFit) -> "dict[str, Figure]":
     """Return thrust and torque over speed."""
     found = {}
     for name, values, choice in (("thrust", fit.thrust, fit.thrust_map), ("torque", fit.torque, fit.torque_map)):
@@ -50,7 +56,7 @@ def static_figures(fit: StaticFit) -> dict[str, Figure]:
     return found
 
 
-def step_figures(lag: StepFit) -> dict[str, Figure]:
+def step_figures(lag: StepFit) -> "dict[str, Figure]":
     """Return measured and predicted speed of every record over time."""
     names = ("one time constant", lag.chosen)
     found, offset = {}, 0
@@ -65,7 +71,7 @@ def step_figures(lag: StepFit) -> dict[str, Figure]:
     return found
 
 
-def joint_figures(study: JointStudy) -> dict[str, Figure]:
+def joint_figures(study: JointStudy) -> "dict[str, Figure]":
     """Return the angle over time, whole and in the first second."""
     record, names = study.record, ("published", study.chosen)
     measured = np.degrees(record.angle)
@@ -79,8 +85,10 @@ def joint_figures(study: JointStudy) -> dict[str, Figure]:
     }
 
 
-def hover_figures(fit: HoverFit) -> dict[str, Figure]:
+def hover_figures(fit: HoverFit) -> "dict[str, Figure]":
     """Return thrust over mass against the sum of squared speeds."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(6.0, 4.0))
     axis = figure.subplots()
     axis.plot(fit.square_sum, fit.force, ".", color=DATA, label="windows")

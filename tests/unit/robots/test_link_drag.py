@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.model import check_effects, effects_on_rigid, robot_effects
 from aerial_gym.robots import ROBOTS
+from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.robots.tune import tune_robot
 from aerial_gym.sim2real.identify.selection.select import select_effects
 from aerial_gym.sim2real.judge.analysis import corrected_robot, not_testable

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.robots import ROBOTS
+from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real import close_loop
 from benchmarks.control import tuned as measured
 from benchmarks.control.tuned import LOOPS, Asked, bandwidths, dampings, measure, tuned

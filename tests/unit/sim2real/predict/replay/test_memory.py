@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from torch import Tensor
 
-from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.physics import EFFECTS, vehicle_from_config
 from aerial_gym.physics.effects import Condition, Moment, Parameter, WrenchEffect
 from aerial_gym.physics.effects.arm_joint import ArmJoint
 from aerial_gym.physics.effects.track import Track, relax
+from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
 from aerial_gym.sim2real.predict.predictor import Predictor
