@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import RobotCfg
@@ -20,7 +21,9 @@ from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.report.ranges import with_found_ranges
 from aerial_gym.sim2real.report.report import write_report
 from aerial_gym.sim2real.report.run_folder import check_out_dir, whole_folder, write_record
-from aerial_gym.sim2real.teststand.joints.flights import BANDWIDTH_HZ, OF_RATE, FoundJoints, find_joints, with_joints
+
+if TYPE_CHECKING:
+    from aerial_gym.sim2real.teststand.joints.flights import FoundJoints
 
 
 def close_loop(
@@ -91,7 +94,7 @@ def close_loop(
             progress=progress,
         )
         told = replace(alone, verdict=replace(alone.verdict, notes=(*inputs.left_out, *alone.verdict.notes)))
-        judged = told if found is None else with_joints(told, found)
+        judged = told if found is None else found.told_in(told)
         verdict = judged.verdict
         corrected = with_found_ranges(judged.corrected, verdict.effects) if ranges else judged.corrected
         progress("writing the report", 0.97)
@@ -121,7 +124,9 @@ def close_loop(
     return verdict
 
 
-def _found_joints(robot: RobotCfg, inputs: Inputs, progress: Progress) -> FoundJoints:
+def _found_joints(robot: RobotCfg, inputs: Inputs, progress: Progress) -> "FoundJoints":
     """Return what the training flights say of the joints."""
+    from aerial_gym.sim2real.teststand.joints.flights import BANDWIDTH_HZ, OF_RATE, find_joints
+
     used, rate = [Path(flight.path) for flight in inputs.train], min(flight.rate for flight in inputs.train)
     return find_joints(robot, used, bandwidth=min(BANDWIDTH_HZ, OF_RATE * rate), progress=progress)

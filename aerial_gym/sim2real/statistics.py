@@ -1,13 +1,14 @@
 """Means, root mean squares and their ratios with what is known of them, from the scatter of groups of samples and of flights.
 
+And the distributions that say so, by ``scipy.special``: importing ``scipy.stats`` takes longer than reading a flight.
 Letters: S samples, G groups, B bins, C columns, P parameters.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import stats
+from numpy.typing import ArrayLike, NDArray
+from scipy import special
 
 Array = NDArray[np.float64]
 
@@ -15,6 +16,45 @@ RESAMPLES = 2000
 
 FALSE_ALARM_HOURS = 100.0
 """Mean flight time between two false alarms of what looks for something in flights [h], as far as noise is as taken there."""
+
+
+def normal_above(value: float) -> float:
+    """Return the probability that a standard normal number is larger than a value."""
+    return float(special.ndtr(-value))
+
+
+def normal_quantile(share: float) -> float:
+    """Return below which value a standard normal number lies with a probability."""
+    return float(special.ndtri(share))
+
+
+def student_above(value: float, freedom: float) -> float:
+    """Return the probability that a number of Student's distribution is larger than a value."""
+    return float(special.stdtr(freedom, -value))
+
+
+def student_quantile(share: float, freedom: ArrayLike) -> Array:
+    """Return below which values numbers of Student's distribution lie with a probability, in the shape of ``freedom``."""
+    return special.stdtrit(freedom, share)
+
+
+def chi_square_above(value: float, freedom: float) -> float:
+    """Return the probability that a sum of squares of standard normal numbers is larger than a value."""
+    return float(special.chdtrc(freedom, np.maximum(value, 0.0)))
+
+
+def ratio_quantile(share: float, over: ArrayLike, under: ArrayLike) -> Array:
+    """Return below which values the ratio of two variances lies with a probability (Fisher's F), by their freedom."""
+    return special.fdtri(over, under, share)
+
+
+def line_through(x: Array, y: Array) -> tuple[float, float, float]:
+    """Return slope and intercept of the least-squares line through points (S,), and the p-value of the slope against none."""
+    x_away, y_away, freedom = x - x.mean(), y - y.mean(), max(x.size - 2, 1)
+    slope = float(x_away @ y_away) / float(x_away @ x_away)
+    std_error = np.linalg.norm(y_away - slope * x_away) / np.sqrt(freedom * (x_away @ x_away))
+    p_value = 2.0 * student_above(abs(slope) / max(float(std_error), 1e-300), freedom)
+    return slope, float(y.mean()) - slope * float(x.mean()), p_value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,7 +166,7 @@ class BinnedMean:
     def half_width(self) -> Array:
         """Return half the 68 % interval of each mean, (B, C): a standard error, more where few groups tell of it."""
         freedom = np.maximum(self.groups - 1, 1)[:, None]
-        return stats.t.ppf(stats.norm.cdf(1.0), freedom) * self.std_error
+        return student_quantile(normal_above(-1.0), freedom) * self.std_error
 
 
 def binned_mean(values: Array, place: NDArray[np.int64], bins: int, group: NDArray[np.int64]) -> BinnedMean:
@@ -172,9 +212,9 @@ def half_width_of_scatter(blocks: Array, num_blocks: int, flights: Array | None,
         num_flights: How many.
     """
     count = max(num_blocks - 1, 1)
-    variance = stats.t.ppf(0.975, count) ** 2 * blocks
+    variance = student_quantile(0.975, count) ** 2 * blocks
     if flights is not None and num_flights >= FEWEST_FLIGHTS:
         between = num_flights - 1
-        limit = stats.f.ppf(1.0 - DOUBTFUL, between, count)
-        variance = np.where(flights > limit * blocks, stats.t.ppf(0.975, between) ** 2 * flights, variance)
+        limit = ratio_quantile(1.0 - DOUBTFUL, between, count)
+        variance = np.where(flights > limit * blocks, student_quantile(0.975, between) ** 2 * flights, variance)
     return np.sqrt(variance)

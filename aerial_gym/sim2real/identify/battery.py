@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy import stats
 from scipy.optimize import lsq_linear
 
 from aerial_gym.config.robot import BatteryCfg, RobotCfg
@@ -18,6 +17,7 @@ from aerial_gym.sim2real.logs.declared_rotors import drag_torques
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.replay.rotor_commands import missing_in_logs, too_steady
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
+from aerial_gym.sim2real.statistics import line_through
 
 Array = NDArray[np.float64]
 
@@ -114,8 +114,7 @@ def _nominal_voltage(robot: RobotCfg, flights: Sequence[Flight]) -> tuple[float,
     gain, nominal = 0.0, highest
     for _ in range(PASSES):
         voltage, ratio = _speed_ratios(robot, flights, gain, nominal)
-        line = stats.linregress(voltage, ratio * (1.0 - gain * (1.0 - voltage / nominal)))
-        slope, intercept, _, probability, _ = np.array(line).tolist()
+        slope, intercept, probability = line_through(voltage, ratio * (1.0 - gain * (1.0 - voltage / nominal)))
         if not (slope > 0.0 and probability < SURE):
             return guess
         nominal = (1.0 - intercept) / slope

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.library import Candidate, Library, build_library
@@ -24,6 +24,7 @@ from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.statistics import ratio_quantile
 
 Array = NDArray[np.float64]
 
@@ -122,7 +123,7 @@ def quantile_of_squares(
     mean = np.maximum(means.sum(axis=1), 1e-300)
     own = np.maximum(mean**2 / np.maximum(np.einsum("ckl,clk->c", spread, spread), 1e-300), 1.0)
     share = means[:, means.shape[1] - estimated :].sum(axis=1) / mean
-    return mean * stats.f.isf(significance, own, np.minimum(MANY, freedom / np.maximum(share, 1e-9) ** 2))
+    return mean * ratio_quantile(1.0 - significance, own, np.minimum(MANY, freedom / np.maximum(share, 1e-9) ** 2))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,7 +208,7 @@ def covering(seen: Library, tested: Library, weights: Weighting, asked: Asked, s
         step, squares = _of_all_flights(a, g, tested, candidate, columns, weights)
         spread, own = np.linalg.inv(a), candidate.columns.size
         away = (step - spread @ g)[:own]
-        likely = away @ np.linalg.solve(spread[:own, :own], away) <= stats.chi2.isf(significance, own)
+        likely = away @ np.linalg.solve(spread[:own, :own], away) <= special.chdtri(own, significance)
         pays = alone - _cost(step, seen) > LEAST_SCORE  # else other values of what has a name already would do
         if likely and pays and asked.enough(np.sqrt(squares))[asked.remaining].all():
             cost = float((weights.weight * squares)[asked.remaining].sum())

@@ -9,10 +9,10 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal, stats
+from scipy import special
 from scipy.integrate import cumulative_trapezoid
 
-from aerial_gym.sim2real.logs.signals import lowpass_gain
+from aerial_gym.sim2real.logs.signals import lowpass_gain, without_line
 from aerial_gym.sim2real.predict.channels import Channel
 
 Array = NDArray[np.float64]
@@ -77,7 +77,7 @@ def integrated(times: Sequence[Array], values: Sequence[Array]) -> list[Array]:
     found = []
     for time, rows in zip(times, values, strict=True):
         step = float(np.median(np.diff(time)))
-        total = signal.detrend(cumulative_trapezoid(rows, dx=step, axis=0, initial=0.0), axis=0)
+        total = without_line(cumulative_trapezoid(rows.T, dx=step, initial=0.0)).T
         angle = np.pi * np.fft.rfftfreq(len(rows), 1.0)  # w h / 2
         gain = np.ones_like(angle)
         gain[1:] = np.maximum(angle[1:] / np.tan(np.maximum(angle[1:], 1e-12)), 0.1)  # beyond the band nothing is left
@@ -121,7 +121,7 @@ def whiteness(
         number = in_octaves(frequency, np.ones((count, 1)), bandwidth)[:, 0] / count
         found.append(
             Whiteness(
-                probability=float(stats.kstwobign.sf(distance * (root + 0.12 + 0.11 / root))),
+                probability=float(special.kolmogorov(distance * (root + 0.12 + 0.11 / root))),
                 octaves=tuple((share / np.maximum(number, 1e-300)).tolist()),
             )
         )

@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal, stats
 
 from aerial_gym.sim2real.logs.recording import FlightLog, part_of
-from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
+from aerial_gym.sim2real.logs.signals import edge_rows, lagged, lowpass
 
 Array = NDArray[np.float64]
 
@@ -50,7 +49,9 @@ class ClockOffset:
         A clock may be off by anything that is looked for; rotor speeds and accelerometer are late each by itself.
         """
         spread = float(np.hypot(np.sqrt(2.0) * LATE_S, self.std / rate))
-        return bool(stats.norm.pdf(self.rows / rate, scale=spread) < 0.5 / LARGEST_SHIFT_S)
+        return bool(
+            np.exp(-0.5 * (self.rows / rate / spread) ** 2) / (np.sqrt(2.0 * np.pi) * spread) < 0.5 / LARGEST_SHIFT_S
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,8 +187,7 @@ def _left_by_lags(log: FlightLog, offset: ClockOffset, time_constant: float) -> 
         moved, found = np.roll(command, shift, axis=0), []
         for constant in time_constant * np.geomspace(0.2, 5.0, 17):
             kept = np.exp(-step / constant)
-            follow, _ = signal.lfilter([0.0, 1.0 - kept], [1.0, -kept], moved, axis=0, zi=speed[:1])
-            found.append(np.mean((speed - follow)[edge:-edge] ** 2))
+            found.append(np.mean((speed - lagged(moved, kept, speed[0]))[edge:-edge] ** 2))
         return float(min(found))
 
     return left(-whole), left(0)

@@ -6,12 +6,12 @@ Letters: T rows of a log, R rotors.
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy import signal
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.effects.one_rotor import declared_lag
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque
+from aerial_gym.sim2real.logs.signals import lagged
 
 Array = NDArray[np.float64]
 
@@ -37,4 +37,4 @@ def lift(robot: RobotCfg, speed: Array) -> Array:
 def followed(robot: RobotCfg, command: Array, rate: float) -> Array:
     """Return what the declared lag makes of commands (T, R) at a rate [Hz]: rotors that are cut carry on for a while."""
     kept = float(np.exp(-1.0 / (rate * 0.5 * sum(declared_lag(robot)))))
-    return signal.lfilter([0.0, 1.0 - kept], [1.0, -kept], command, axis=0, zi=command[:1])[0]
+    return lagged(command, kept, command[0])

@@ -15,10 +15,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, stats
+from scipy import ndimage
 
 from aerial_gym.sim2real.logs.recording import FlightLog
-from aerial_gym.sim2real.statistics import FALSE_ALARM_HOURS
+from aerial_gym.sim2real.statistics import FALSE_ALARM_HOURS, student_quantile
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ FREEDOM = 4
 MOST = 20
 """A position with more jumps than that is left as it is, and the log says so."""
 
-LIMIT = float(stats.t.isf(0.5 * HALF_S / (3.0 * 3600.0 * FALSE_ALARM_HOURS), FREEDOM))
+LIMIT = -float(student_quantile(0.5 * HALF_S / (3.0 * 3600.0 * FALSE_ALARM_HOURS), FREEDOM))
 """What differences without a jump pass, in parts of their scale, once in the hours of a false alarm."""
 
 MAD = 1.4826

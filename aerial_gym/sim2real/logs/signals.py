@@ -105,6 +105,38 @@ def without_line(values: Array) -> Array:
     return values - values.mean(axis=-1, keepdims=True) - slope[..., None] * place
 
 
+def hann(rows: int) -> Array:
+    """Return the periodic window of Hann, (rows,)."""
+    return 0.5 + 0.5 * np.cos(np.linspace(-np.pi, np.pi, rows + 1)[:-1])
+
+
+def welch(values: Array, rate: float, rows: int) -> tuple[Array, Array]:
+    """Return frequencies [Hz], (L,), and the spectral density of columns (T, K) there, (L, K), one-sided.
+
+    Straight lines are taken out of segments of so many rows that overlap by half, under the window of Hann.
+    Source: Welch (1967), The use of fast Fourier transform for the estimation of power spectra, IEEE Trans. AU-15.
+    """
+    window = hann(rows)
+    segments = np.lib.stride_tricks.sliding_window_view(values.T, rows, axis=-1)[:, :: rows - rows // 2]
+    lines = np.asarray(fft.rfft(without_line(segments) * window, axis=-1))
+    power = (lines.real**2 + lines.imag**2).mean(axis=1) / (rate * (window @ window))
+    power[:, 1 : (rows + 1) // 2] *= 2.0
+    return fft.rfftfreq(rows, 1.0 / rate), power.T
+
+
+def lagged(values: Array, kept: float, start: Array) -> Array:
+    """Return what a lag makes of values (T, K) from a start (K,): ``y_n = kept y_(n-1) + (1 - kept) x_(n-1)``.
+
+    Twice as many rows are summed in each pass, until older ones count no more than round-off.
+    """
+    result = np.concatenate((start[None], (1.0 - kept) * values[:-1]))
+    rows = 1
+    while rows < len(result) and kept**rows > 1e-18:
+        result[rows:] = result[rows:] + kept**rows * result[:-rows]
+        rows *= 2
+    return result
+
+
 def edge_rows(rate: float, bandwidth: float) -> int:
     """Return the number of rows at each end that the low-pass may spoil: two periods of its bandwidth."""
     return round(2.0 * rate / bandwidth) + 1

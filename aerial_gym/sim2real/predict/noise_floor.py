@@ -14,12 +14,12 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, signal
+from scipy import ndimage
 from scipy.optimize import nnls
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.logs.signals import lowpass, lowpass_gain, without_line
+from aerial_gym.sim2real.logs.signals import lowpass, lowpass_gain, welch
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -177,7 +177,7 @@ def floor_of_columns(values: Array, rate: float, bandwidth: float, readings: Seq
     wide, length = WIDE_BAND * rate, min(values.shape[0], round(SEGMENT_S * rate))
     if length < 2:
         return None
-    frequency, density = signal.welch(values, rate, nperseg=length, detrend=without_line, axis=0)  # pyright: ignore[reportArgumentType]
+    frequency, density = welch(values, rate, length)
     low = max(min(FIT_FROM * bandwidth, FIT_FROM_AT_LATEST * FIT_TO * rate), CLEAR_OF_BAND * bandwidth)
     chosen = (frequency >= low) & (frequency <= FIT_TO * rate)
     if chosen.sum() < FEWEST_LINES:

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.signals import welch
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -139,8 +139,8 @@ def what_remains(parts: Sequence[Rest], channel: Channel) -> str:
     for place, part in enumerate(parts):
         rate = 1.0 / float(np.median(np.diff(part.time)))
         length = min(part.values.size, round(SEGMENT_S * rate))
-        frequency, density = signal.welch(part.values, rate, nperseg=length, detrend="linear")
-        first.line(frequency[1:], np.sqrt(density[1:]), FLIGHTS[place % len(FLIGHTS)], width=0.7, alpha=0.7)
+        frequency, density = welch(part.values[:, None], rate, length)
+        first.line(frequency[1:], np.sqrt(density[1:, 0]), FLIGHTS[place % len(FLIGHTS)], width=0.7, alpha=0.7)
     first.log, first.x_label, first.y_label = True, "frequency [Hz]", f"{channel.unit} / √Hz"
     for panel, title in zip(others, titles, strict=False):
         turned = title in PLACES and channel.kind == "specific_force"

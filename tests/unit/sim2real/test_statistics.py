@@ -2,8 +2,18 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
-from aerial_gym.sim2real.statistics import binned_mean
+from aerial_gym.sim2real.statistics import (
+    binned_mean,
+    chi_square_above,
+    line_through,
+    normal_above,
+    normal_quantile,
+    ratio_quantile,
+    student_above,
+    student_quantile,
+)
 
 
 def test_independent_samples_have_the_textbook_standard_error() -> None:
@@ -50,3 +60,24 @@ def test_one_group_has_no_standard_error() -> None:
     found = binned_mean(np.ones((5, 1)), np.zeros(5, dtype=int), 1, np.zeros(5, dtype=int))
     assert found.mean[0, 0] == 1.0
     assert np.isnan(found.std_error[0, 0])
+
+
+@pytest.mark.parametrize("freedom", [1, 4, 300])
+def test_distributions_are_those_of_scipy(freedom: int) -> None:
+    """Far tails included; less than nothing is exceeded by every sum of squares."""
+    for value in (-3.0, 0.2, 9.0):
+        assert normal_above(value) == pytest.approx(stats.norm.sf(value), rel=1e-13)
+        assert student_above(value, freedom) == pytest.approx(stats.t.sf(value, freedom), rel=1e-13)
+        assert chi_square_above(value, freedom) == pytest.approx(stats.chi2.sf(value, freedom), rel=1e-13)
+    for share in (1e-6, 0.3, 0.975):
+        assert normal_quantile(share) == pytest.approx(stats.norm.ppf(share), rel=1e-13)
+        assert student_quantile(share, freedom) == pytest.approx(stats.t.ppf(share, freedom), rel=1e-13)
+        assert ratio_quantile(share, 3, freedom) == pytest.approx(stats.f.ppf(share, 3, freedom), rel=1e-12)
+
+
+def test_the_line_through_points_is_that_of_scipy() -> None:
+    """Slope, intercept, and the p-value of the slope."""
+    x, noise = np.random.default_rng(3).standard_normal((2, 40))
+    expected = stats.linregress(x, 2.0 + 0.3 * x + noise)
+    values = np.array(expected)
+    np.testing.assert_allclose(line_through(x, 2.0 + 0.3 * x + noise), values[[0, 1, 3]], rtol=1e-9)

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.logs.signals import without_line
+from aerial_gym.sim2real.logs.signals import welch
 from aerial_gym.sim2real.predict.channels import Channel
 
 Array = NDArray[np.float64]
@@ -192,7 +191,7 @@ class CommonLines:
 
     def _spectrum(self, values: Array) -> Array:
         """Return the share of the variance at each frequency, (lines, columns)."""
-        _, density = signal.welch(values, self._rate, nperseg=self._length, detrend=without_line, axis=0)  # pyright: ignore[reportArgumentType]
+        _, density = welch(values, self._rate, self._length)
         return density / np.maximum(density.sum(axis=0), 1e-300)
 
 

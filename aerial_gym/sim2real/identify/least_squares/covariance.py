@@ -7,14 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, best_step, normal_equations, prior_precision
-from aerial_gym.sim2real.statistics import FEWEST_FLIGHTS, half_width_of_scatter
+from aerial_gym.sim2real.statistics import FEWEST_FLIGHTS, half_width_of_scatter, normal_quantile
 
 Array = NDArray[np.float64]
 
-NORMAL_95 = float(stats.norm.ppf(0.975))
+NORMAL_95 = normal_quantile(0.975)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
@@ -15,6 +14,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit
 from aerial_gym.sim2real.identify.least_squares.leave_out import steps_without
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting, folds
 from aerial_gym.sim2real.predict.channels import Channel
+from aerial_gym.sim2real.statistics import student_above
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -141,7 +141,7 @@ class LeftOut:
         fallen = (less - more).sum(axis=0) / count.sum()
         return Gain(
             score=self._score(less, more, count),
-            p_value=float(stats.t.sf(blocks.mean() / max(spread, 1e-300), max(blocks.size - 1, 1))),
+            p_value=student_above(blocks.mean() / max(spread, 1e-300), max(blocks.size - 1, 1)),
             flights_better=float(np.mean([total > 0.0 for total in totals])),
             falls=tuple((1.0 - np.exp(-0.5 * _log_ratio(less.sum(axis=0), more.sum(axis=0)))).tolist()),
             harmed=tuple(np.mean(rises, axis=0).tolist()),

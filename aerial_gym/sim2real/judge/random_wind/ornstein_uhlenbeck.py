@@ -10,9 +10,10 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, stats
+from scipy import optimize
 
 from aerial_gym.sim2real.logs.signals import lowpass_gain
+from aerial_gym.sim2real.statistics import chi_square_above, normal_above
 
 Array = NDArray[np.float64]
 
@@ -172,7 +173,7 @@ def p_value_of_noise(series: Series, fit: ProcessFit) -> float:
     rows = sum(len(wind) - 1 for wind in series.wind)
     squares = np.sum([((wind - wind.mean(axis=0)) ** 2).sum(axis=0) for wind in series.wind], axis=0)
     alone = float(log_likelihoods(series, [(0.0, 1.0, np.sqrt(squares / rows))])[0])
-    return float(stats.chi2.sf(2.0 * (fit.likelihood - alone), 2))
+    return chi_square_above(2.0 * (fit.likelihood - alone), 2)
 
 
 def p_values_of_rivals(series: Series, fit: ProcessFit) -> dict[str, float]:
@@ -221,7 +222,7 @@ def p_value_of_memory(innovations: Sequence[Array]) -> float:
             lagged = np.array([column[k:] @ column[:-k] for k in lag]) / (column @ column)
             total += rows * (lagged - centre)
             variance += rows * (rows - lag) / (rows + 2.0)
-    return float(stats.chi2.sf((total**2 / variance).sum(), LAGS - 2))
+    return chi_square_above((total**2 / variance).sum(), LAGS - 2)
 
 
 def p_value_of_line(innovations: Sequence[Array]) -> float:
@@ -232,14 +233,14 @@ def p_value_of_line(innovations: Sequence[Array]) -> float:
     rows = min(len(part) for part in innovations)
     spectra = [np.abs(np.fft.rfft(part[:rows], axis=0)[1:-1]) ** 2 / (rows * part.var(axis=0)) for part in innovations]
     lines = np.concatenate(spectra, axis=1)
-    highest = float(stats.chi2.sf(2.0 * lines.sum(axis=1).max(), 2 * lines.shape[1]))
+    highest = chi_square_above(2.0 * lines.sum(axis=1).max(), 2 * lines.shape[1])
     return float(-np.expm1(len(lines) * np.log1p(-min(highest, 1.0 - 1e-16))))
 
 
 def p_value_of_shape(innovations: Sequence[Array]) -> float:
     """Return the p-value of such an excess kurtosis of normal numbers: of variance 24 / n."""
     both = np.concatenate([(part / part.std(axis=0)).ravel() for part in innovations])
-    return float(2.0 * stats.norm.sf(abs(np.mean(both**4) - 3.0) / np.sqrt(24.0 / both.size)))
+    return 2.0 * normal_above(abs(np.mean(both**4) - 3.0) / np.sqrt(24.0 / both.size))
 
 
 def p_value_of_unequal(series: Series, fit: ProcessFit, between: str) -> float:
@@ -258,7 +259,7 @@ def p_value_of_unequal(series: Series, fit: ProcessFit, between: str) -> float:
 
         best = optimize.fminbound(cost, centre - 4.0, centre + 2.0, xtol=0.01)
         gained += cost(centre) - cost(float(np.asarray(best)))
-    return float(stats.chi2.sf(2.0 * gained, len(parts) - 1))
+    return chi_square_above(2.0 * gained, len(parts) - 1)
 
 
 def p_value_of_following(features: list[list[Array]], innovations: Sequence[Array]) -> float:
@@ -272,4 +273,4 @@ def p_value_of_following(features: list[list[Array]], innovations: Sequence[Arra
         kept = left[:, values > 1e-6]
         explained += float(((kept.T @ y) ** 2).sum()) / float(y.var())
         freedom += kept.shape[1]
-    return float(stats.chi2.sf(explained, freedom))
+    return chi_square_above(explained, freedom)

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
+from aerial_gym.sim2real.statistics import student_quantile
 
 Array = NDArray[np.float64]
 
@@ -137,5 +137,5 @@ def _fit_errors(sensor: str, measured: Array, motion: Array, level: Array, rate:
     spread = np.sqrt(np.diag(bread @ (sums.T @ sums) @ bread) * count / max(count - gains.size, 1))
     values, half_width = np.zeros(7), np.full(7, np.inf)
     values[shown] = gains
-    half_width[shown] = stats.t.ppf(0.975, max(count - gains.size, 1)) * spread
+    half_width[shown] = student_quantile(0.975, max(count - gains.size, 1)) * spread
     return ImuErrors(sensor=sensor, bias=values[:3], angle=values[3:6], delay=float(values[6]), half_width=half_width)

@@ -6,7 +6,6 @@ one: in units of the declared slope 1.5 to 3, 1/2, and 2. Letters: T rows, R rot
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
@@ -14,6 +13,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.checks.units import SURE
 from aerial_gym.sim2real.logs.declared_rotors import followed, lift
 from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
+from aerial_gym.sim2real.statistics import student_quantile
 
 Array = NDArray[np.float64]
 
@@ -71,7 +71,7 @@ def relative_slope(log: FlightLog, thrust: Array, on_ground: NDArray[np.bool_] |
     if not np.all(spread > 0.0):
         return 0.0, np.inf
     share = float(np.mean(left[:, 0] * left[:, 1]) / np.prod(spread))
-    error = float(stats.t.isf(SURE, free)) * np.sqrt(max(1.0 - share**2, 0.0) / free) / max(abs(share), 1e-12)
+    error = -float(student_quantile(SURE, free)) * np.sqrt(max(1.0 - share**2, 0.0) / free) / max(abs(share), 1e-12)
     if error >= 1.0 or share < 0.0:
         return 0.0, np.inf
     size = float(spread[0] / spread[1] * pair[:, 1].mean() / pair[:, 0].mean())

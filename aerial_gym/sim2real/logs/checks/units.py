@@ -11,7 +11,6 @@ from itertools import permutations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
@@ -20,6 +19,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
 from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass
+from aerial_gym.sim2real.statistics import normal_above, student_quantile
 
 Array = NDArray[np.float64]
 Axes = NDArray[np.bool_]
@@ -29,7 +29,7 @@ AXES = np.arange(3)
 WINDOW_S = 0.5
 """[s]: errors of windows are taken as independent of each other."""
 
-SURE = stats.norm.sf(4.0)
+SURE = normal_above(4.0)
 """A log is refused if what it claims lies beyond a quantile of so little probability: many logs have six axes each."""
 
 CLEARLY = 10.0
@@ -117,7 +117,9 @@ def relate(effect: Array, cause: Array) -> Relation | None:
     shared = np.clip(scores[0].T @ scores[1] / count, -1.0 + 1e-12, 1.0 - 1e-12)
     order = _likeliest(shared, count)
     share, size = shared[AXES, order], sizes[0] / sizes[1][list(order)]
-    error = stats.t.isf(SURE, count - 2) * np.sqrt((1.0 - share**2) / (count - 2)) / np.maximum(np.abs(share), 1e-12)
+    error = (
+        -student_quantile(SURE, count - 2) * np.sqrt((1.0 - share**2) / (count - 2)) / np.maximum(np.abs(share), 1e-12)
+    )
     known = error < 1.0  # else the share itself may be 0
     widening = np.exp(np.minimum(error, 1.0))
     return Relation(

@@ -5,9 +5,9 @@ Letters: T rows, L lines of a spectrum, K columns.
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, signal
+from scipy import fft
 
-from aerial_gym.sim2real.logs.signals import without_line
+from aerial_gym.sim2real.logs.signals import hann, welch
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ def segment_length(rows: int, rate: float) -> int:
 def density_of(values: Array, rate: float) -> tuple[Array, Array]:
     """Return the frequencies [Hz], (L,), and the density of each column (T, any) there, level for white noise."""
     length = segment_length(len(values), rate)
-    frequency, density = signal.welch(values, rate, nperseg=length, detrend=without_line, axis=0)  # pyright: ignore[reportArgumentType]
+    frequency, density = welch(values, rate, length)
     return frequency, density / _seen_without_line(length)[:, None]
 
 
@@ -42,7 +42,7 @@ def _seen_without_line(length: int) -> Array:
     Derived: of a row x of white noise, line k is ``v_k (x - P x)``, P the projection on straight lines, v_k the windowed wave;
     its mean square is ``|v_k - P v_k|² = |v_k|² - |P v_k|²``.
     """
-    window: Array = np.asarray(signal.get_window("hann", length), dtype=float)
+    window = hann(length)
     place = np.arange(length) - 0.5 * (length - 1)
     lost = sum(np.abs(np.fft.rfft(window * one)) ** 2 / (one @ one) for one in (np.ones(length), place))
     return 1.0 - lost / (window @ window)

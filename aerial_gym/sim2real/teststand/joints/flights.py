@@ -82,6 +82,20 @@ class FoundJoints:
         layout = tuple(replace(one, spring=springs.get(one.name, one.spring)) for one in robot.joints.layout)
         return replace(robot, joints=replace(robot.joints, layout=layout, source=f"{robot.joints.source}; {source}"))
 
+    def told_in(self, judged: Judged) -> Judged:
+        """Return what was judged with what was found of the joints: what differs is told first, and is in the robot file."""
+        told = "; ".join(joint.sentence for joint in self.named)
+        verdict = replace(
+            judged.verdict,
+            verdict="explained" if told and judged.verdict.verdict in NOTHING_NAMED else judged.verdict.verdict,
+            reason=judged.verdict.told_before(f"{told}; as a rigid vehicle: ") if told else judged.verdict.reason,
+            joints=tuple(joint.as_mapping() for joint in self.joints),
+            notes=(*self.notes, *judged.verdict.notes),
+        )
+        return replace(
+            judged, verdict=verdict, corrected=self.corrected(judged.corrected, "aerial-gym close-loop --joints")
+        )
+
 
 def find_joints(
     robot: RobotCfg, flights: Sequence[Path], *, bandwidth: float = BANDWIDTH_HZ, progress: Progress = silent
@@ -121,21 +135,6 @@ def _in_short(robot: RobotCfg, joint: FlownJoint) -> FoundJoint:
         },
         params=params,
         spring=joint.spring,
-    )
-
-
-def with_joints(judged: Judged, found: FoundJoints) -> Judged:
-    """Return what was judged with what was found of the joints: what differs is told first, and is in the robot file."""
-    told = "; ".join(joint.sentence for joint in found.named)
-    verdict = replace(
-        judged.verdict,
-        verdict="explained" if told and judged.verdict.verdict in NOTHING_NAMED else judged.verdict.verdict,
-        reason=judged.verdict.told_before(f"{told}; as a rigid vehicle: ") if told else judged.verdict.reason,
-        joints=tuple(joint.as_mapping() for joint in found.joints),
-        notes=(*found.notes, *judged.verdict.notes),
-    )
-    return replace(
-        judged, verdict=verdict, corrected=found.corrected(judged.corrected, "aerial-gym close-loop --joints")
     )
 
 

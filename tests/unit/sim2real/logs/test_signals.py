@@ -9,9 +9,11 @@ from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import (
     continuous_quaternion,
     edge_rows,
+    lagged,
     lowpass,
     lowpass_gain,
     uniform_log,
+    welch,
     without_line,
 )
 
@@ -79,3 +81,25 @@ def test_without_line_is_what_a_fit_of_a_line_leaves() -> None:
     """Of each row by itself; scipy solves least squares for it."""
     values = np.cumsum(np.random.default_rng(0).normal(size=(3, 2, 50)), axis=-1)
     np.testing.assert_allclose(without_line(values), signal.detrend(values, axis=-1), atol=1e-12)
+
+
+@pytest.mark.parametrize(("rows", "segment"), [(2000, 400), (999, 111), (50, 50)])
+def test_the_spectrum_is_that_of_welch(rows: int, segment: int) -> None:
+    """As scipy has it, and the variance of white noise adds up."""
+    values = np.random.default_rng(0).normal(size=(rows, 2))
+    frequency, density = welch(values, RATE, segment)
+    expected = signal.welch(values, RATE, nperseg=segment, detrend="linear", axis=0)
+    np.testing.assert_allclose(frequency, expected[0])
+    np.testing.assert_allclose(density, expected[1], rtol=1e-9)
+    if rows > 1000:
+        np.testing.assert_allclose(density.sum(axis=0) * frequency[1], 1.0, rtol=0.1)
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.3, 0.999])
+def test_a_lag_is_summed_as_row_by_row(kept: float) -> None:
+    """``y_n = kept y_(n-1) + (1 - kept) x_(n-1)`` from a start of its own."""
+    values, start = np.random.default_rng(0).normal(size=(300, 2)), np.array([3.0, -1.0])
+    expected = [start]
+    for row in values[:-1]:
+        expected.append(kept * expected[-1] + (1.0 - kept) * row)
+    np.testing.assert_allclose(lagged(values, kept, start), expected, atol=1e-13)
