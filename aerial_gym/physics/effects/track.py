@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from aerial_gym.math.decay import decaying_sum
 from aerial_gym.physics.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -40,10 +41,7 @@ def relax(rest: Array, start: Array, *, tau: float, step: float) -> Array:
     Source:
         Derived: ``tau h' = r - h`` with a linear r, integrated over a step.
     """
-    from scipy.signal import lfilter  # of the extra ``sim2real``
-
     share = step / tau
     decay, gained = np.exp(-share), -np.expm1(-share)
     later = 1.0 - gained / share
-    past = start - later * rest[0]  # so that the output in the first row is the start
-    return lfilter([later, gained - later], [1.0, -decay], rest, axis=0, zi=past[None])[0]
+    return decaying_sum(np.concatenate((start[None], (gained - later) * rest[:-1] + later * rest[1:])), float(decay))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from aerial_gym.errors import DataError
+from aerial_gym.math.decay import decaying_sum
 from aerial_gym.sim2real.logs.recording import FlightLog, part_of
 
 Array = NDArray[np.float64]
@@ -125,16 +126,8 @@ def welch(values: Array, rate: float, rows: int) -> tuple[Array, Array]:
 
 
 def lagged(values: Array, kept: float, start: Array) -> Array:
-    """Return what a lag makes of values (T, K) from a start (K,): ``y_n = kept y_(n-1) + (1 - kept) x_(n-1)``.
-
-    Twice as many rows are summed in each pass, until older ones count no more than round-off.
-    """
-    result = np.concatenate((start[None], (1.0 - kept) * values[:-1]))
-    rows = 1
-    while rows < len(result) and kept**rows > 1e-18:
-        result[rows:] = result[rows:] + kept**rows * result[:-rows]
-        rows *= 2
-    return result
+    """Return what a lag makes of values (T, K) from a start (K,): ``y_n = kept y_(n-1) + (1 - kept) x_(n-1)``."""
+    return decaying_sum(np.concatenate((start[None], (1.0 - kept) * values[:-1])), kept)
 
 
 def edge_rows(rate: float, bandwidth: float) -> int:

@@ -1,0 +1,21 @@
+"""What decays from row to row. Letters: T rows."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+NOTHING = 1e-18
+"""Share of a number beside which it does not count in float64."""
+
+
+def decaying_sum(added: Array, kept: float) -> Array:
+    """Return ``y_n = kept y_(n-1) + x_n`` of columns x (T, any), with ``y_0 = x_0`` and ``0 <= kept <= 1``.
+
+    Derived: a sum over 2 m rows is one over m rows, plus ``kept^m`` times that of m rows before.
+    """
+    total, rows = added.copy(), 1
+    while rows < len(total) and kept**rows > NOTHING:
+        total[rows:] += kept**rows * total[:-rows]
+        rows *= 2
+    return total
