@@ -19,6 +19,7 @@ from aerial_gym.sim2real.identify.candidates.structure import (
     IN_WORLD,
     CommonLines,
     features_of,
+    forces_of,
     in_axes_of,
     motion_of,
     rows_of,
@@ -74,50 +75,107 @@ class Nuisance:
         return f"{self.kind} in {self.channel}"
 
 
-def structures_of(
-    flights: Sequence[Flight],
-    times: Sequence[Array],
-    channels: Sequence[Channel],
-    declared: Sequence[Array],
-    present: Sequence[Array],
-    effects: Mapping[str, Sequence[Sequence[Array]]],
-    most: Array,
-) -> list[Nuisance]:
-    """Return every structure that these flights can have.
+@dataclass(frozen=True, kw_only=True)
+class _Shape:
+    """A unit of structure in a channel, whatever the effects."""
 
-    Args:
-        flights: Training flights.
-        times: Of their rows [s], (T,).
-        channels: What is compared.
-        declared: What the declared model misses, (T, C): gives the sizes.
-        present: What the present model misses, (T, C): gives the frequencies of tones.
-        effects: Derivatives of the prediction by the parameters of each effect, (T, C, any), at each of its starts.
-        most: How large offsets of single flights are at most in each channel, (C,).
-    """
-    found = []
-    for kind, features in features_of(flights, times).items():
-        functions = _standard(features)
-        if kind in IN_WORLD:  # the force at a place has a mean; a drift or a mean speed is what effects are for
-            functions = [np.column_stack((np.ones(len(part)), part)) for part in functions]
-        if not functions[0].shape[1]:
-            continue  # a voltage that stays the same
-        rivals = [part for name in effects if kind in EFFECTS.get(name).follows for part in effects[name]]
-        for place, channel in enumerate(channels):
-            moved, axes = _axes(kind, place, flights, times, channels)
+    kind: str
+    channel: str
+    size: float
+    functions: list[Array]
+    """What varies, (T, F)."""
+
+    moved: tuple[int, ...]
+    """Channels that it moves."""
+
+    axes: list[Array]
+    """By how much, (T, c)."""
+
+
+class Nuisances:
+    """Every structure that some flights can have."""
+
+    def __init__(
+        self,
+        flights: Sequence[Flight],
+        times: Sequence[Array],
+        channels: Sequence[Channel],
+        declared: Sequence[Array],
+        most: Array,
+    ) -> None:
+        """Take the flights.
+
+        Args:
+            flights: Training flights.
+            times: Of their rows [s], (T,).
+            channels: What is compared.
+            declared: What the declared model misses, (T, C): gives the sizes.
+            most: How large offsets of single flights are at most in each channel, (C,).
+        """
+        self._times, self._channels, self._declared, self._most = times, channels, declared, most
+        self._lines = CommonLines(times, [motion_of(flight, time) for flight, time in zip(flights, times, strict=True)])
+        self._shapes = list[_Shape]()
+        alone, force = [np.ones((time.size, 1)) for time in times], forces_of(channels)
+        turns = [Rotation.from_quat(f.attitude[rows_of(f, time)]) for f, time in zip(flights, times, strict=True)]
+        world = [[turn.apply(axis, inverse=True) for turn in turns] for axis in np.eye(3)]
+        for kind, features in features_of(flights, times).items():
+            functions = _standard(features)
+            if kind in IN_WORLD:  # the force at a place has a mean; a drift or a mean speed is what effects are for
+                functions = [np.column_stack((np.ones(len(part)), part)) for part in functions]
+            if not functions[0].shape[1]:
+                continue  # a voltage that stays the same
+            seen = in_axes_of(kind, flights, times, declared, channels)
+            for place, channel in enumerate(channels):
+                moved, axes = (place,), alone
+                if kind in IN_WORLD and place in force:  # a world axis seen from the body
+                    moved, axes = force, world[force.index(place)]
+                size = _rms([part[:, place] for part in seen])
+                self._shapes.append(
+                    _Shape(kind=kind, channel=channel.name, size=size, functions=functions, moved=moved, axes=axes)
+                )
+
+    def beside(
+        self, present: Sequence[Array], effects: Mapping[str, Sequence[Sequence[NDArray[np.floating]]]]
+    ) -> list[Nuisance]:
+        """Return what of them effects cannot make.
+
+        Args:
+            present: What the present model misses, (T, C): gives the frequencies of tones.
+            effects: Derivatives of the prediction by the parameters of each effect, (T, C, any), at each of its starts.
+        """
+        found = []
+        for shape in self._shapes:
+            rivals = [part for name in effects if shape.kind in EFFECTS.get(name).follows for part in effects[name]]
             along = [
-                [np.einsum("tck,tc->tk", part[:, moved], axis) for part, axis in zip(own, axes, strict=True)]
+                [
+                    np.einsum("tck,tc->tk", part[:, shape.moved], axis)
+                    for part, axis in zip(own, shape.axes, strict=True)
+                ]
                 for own in rivals
             ]
-            size = _rms([part[:, place] for part in in_axes_of(kind, flights, times, declared, channels)])
-            beyond = _beyond(functions, along)
-            columns = [
-                InChannels(values=values, channels=moved)
-                for values in single(
-                    [size * x[:, None] * axis[..., None] for x, axis in zip(beyond, axes, strict=True)]
+            beyond = zip(_beyond(shape.functions, along), shape.axes, strict=True)
+            columns = single([shape.size * x[:, None] * axis[..., None] for x, axis in beyond])
+            parts = [InChannels(values=values, channels=shape.moved) for values in columns]
+            found.append(Nuisance(kind=shape.kind, channel=shape.channel, columns=parts, size=shape.size))
+        return [*found, *_offsets(self._channels, present, self._most), *self._tones(present)]
+
+    def _tones(self, present: Sequence[Array]) -> list[Nuisance]:
+        """Return the strongest common tone of each channel; its phase is each flight's own."""
+        found, times = [], self._times
+        for place, channel in enumerate(self._channels):
+            line = self._lines.find([part[:, place] for part in present])
+            if line is None:
+                continue
+            size, columns = _rms([part[:, place] for part in self._declared]), []
+            for number, time in enumerate(times):
+                waves = np.zeros((time.size, 1, 2 * len(times)), dtype=np.float32)
+                turn = 2.0 * np.pi * line[0] * time
+                waves[:, 0, 2 * number : 2 * number + 2] = (
+                    size * np.sqrt(2.0) * np.column_stack((np.cos(turn), np.sin(turn)))
                 )
-            ]
-            found.append(Nuisance(kind=kind, channel=channel.name, columns=columns, size=size))
-    return [*found, *_offsets(channels, present, most), *_tones(flights, times, channels, declared, present)]
+                columns.append(InChannels(values=waves, channels=(place,)))
+            found.append(Nuisance(kind="periodic", channel=channel.name, columns=columns, size=size, freq_hz=line[0]))
+        return found
 
 
 def offsets_of(structures: Sequence[Nuisance], channels: Sequence[Channel], weight: Array) -> OwnOffsets:
@@ -151,17 +209,6 @@ def _beyond(functions: Sequence[Array], effects: Sequence[Sequence[Array]]) -> l
     return np.split(whole - made, ends)
 
 
-def _axes(
-    kind: str, place: int, flights: Sequence[Flight], times: Sequence[Array], channels: Sequence[Channel]
-) -> tuple[tuple[int, ...], list[Array]]:
-    """Return the channels that a unit of structure moves and by how much, (T, c): a world axis seen from the body, or one."""
-    force = tuple(k for k, channel in enumerate(channels) if channel.kind == "specific_force")
-    if kind not in IN_WORLD or len(force) != 3 or place not in force:
-        return (place,), [np.ones((time.size, 1)) for time in times]
-    turns = [Rotation.from_quat(f.attitude[rows_of(f, time)]) for f, time in zip(flights, times, strict=True)]
-    return force, [turn.apply(np.eye(3)[force.index(place)], inverse=True) for turn in turns]
-
-
 def most_of_flights(predictor: Predictor, declared: ModelParams) -> Array:
     """Return how large offsets of single flights are at most in each channel, (C,).
 
@@ -193,32 +240,6 @@ def _offsets(channels: Sequence[Channel], present: Sequence[Array], most: Array)
             values[:, 0, number] = size
             columns.append(InChannels(values=values, channels=(place,)))
         found.append(Nuisance(kind=OF_FLIGHTS, channel=channel.name, columns=columns, size=size, most=limit))
-    return found
-
-
-def _tones(
-    flights: Sequence[Flight],
-    times: Sequence[Array],
-    channels: Sequence[Channel],
-    declared: Sequence[Array],
-    present: Sequence[Array],
-) -> list[Nuisance]:
-    """Return the strongest common tone of each channel; its phase is each flight's own."""
-    lines = CommonLines(times, [motion_of(flight, time) for flight, time in zip(flights, times, strict=True)])
-    found = []
-    for place, channel in enumerate(channels):
-        line = lines.find([part[:, place] for part in present])
-        if line is None:
-            continue
-        size, columns = _rms([part[:, place] for part in declared]), []
-        for number, time in enumerate(times):
-            waves = np.zeros((time.size, 1, 2 * len(times)), dtype=np.float32)
-            turn = 2.0 * np.pi * line[0] * time
-            waves[:, 0, 2 * number : 2 * number + 2] = (
-                size * np.sqrt(2.0) * np.column_stack((np.cos(turn), np.sin(turn)))
-            )
-            columns.append(InChannels(values=waves, channels=(place,)))
-        found.append(Nuisance(kind="periodic", channel=channel.name, columns=columns, size=size, freq_hz=line[0]))
     return found
 
 

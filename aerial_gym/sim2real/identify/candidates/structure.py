@@ -92,10 +92,16 @@ def in_axes_of(
     return [world_forces(f, t, r, channels) for f, t, r in zip(flights, times, residuals, strict=True)]
 
 
+def forces_of(channels: Sequence[Channel]) -> tuple[int, ...]:
+    """Return the places of the specific forces along x, y and z; none where one is missing."""
+    found = tuple(place for place, channel in enumerate(channels) if channel.kind == "specific_force")
+    return found if len(found) == 3 else ()
+
+
 def world_forces(flight: Flight, time: Array, residual: Array, channels: Sequence[Channel]) -> Array:
     """Return the residual with its forces turned into world axes, (T, C)."""
-    force = [place for place, channel in enumerate(channels) if channel.kind == "specific_force"]
-    if len(force) != 3:
+    force = list(forces_of(channels))
+    if not force:
         return residual
     turned = residual.copy()
     turned[:, force] = Rotation.from_quat(flight.attitude[rows_of(flight, time)]).apply(residual[:, force])

@@ -20,9 +20,9 @@ from aerial_gym.sim2real.identify.candidates.library import (
 )
 from aerial_gym.sim2real.identify.candidates.nuisance import (
     Nuisance,
+    Nuisances,
     beyond_structures,
     most_of_flights,
-    structures_of,
 )
 from aerial_gym.sim2real.identify.evidence.fitting import (
     ENOUGH,
@@ -168,8 +168,8 @@ class Climber:
     def __init__(self, predictor: Predictor, declared: ModelParams, names: Sequence[str], progress: Progress) -> None:
         """Take training flights, the declared model, and the effects that may be in a set."""
         self.predictor, self.declared, self.names, self.progress = predictor, declared, tuple(names), progress
-        self.missed = predictor.residuals(declared)
-        self.of_flights = most_of_flights(predictor, declared)
+        self.missed, most = predictor.residuals(declared), most_of_flights(predictor, declared)
+        self.nuisances = Nuisances(predictor.flights, predictor.times, predictor.channels, self.missed, most)
         self.skipped = tuple(name for name in EFFECTS if name not in self.names)
 
     def run(self) -> View:
@@ -207,7 +207,6 @@ class Climber:
 
     def weigh(self, params: ModelParams, tangents: Sequence[Tangent], tolerance: Derivatives) -> Weighting:
         """Return the weights of the channels from what all effects and structures together leave over."""
-        flights, times, channels = self.predictor.flights, self.predictor.times, self.predictor.channels
         several = [one for one in tangents if has_starts(one.name, self.predictor.robot)]
         common = [one for one in tangents if not has_starts(one.name, self.predictor.robot)]
         start = params
@@ -215,8 +214,7 @@ class Climber:
             start = start.with_effect(one.name, one.start)
 
         def beyond(residuals: list[Array], weights: Weighting) -> list[Array]:
-            structures = structures_of(flights, times, channels, self.missed, residuals, {}, self.of_flights)
-            return beyond_structures(structures, residuals, weights)
+            return beyond_structures(self.nuisances.beside(residuals, {}), residuals, weights)
 
         linear = [tolerance, *(one.columns for one in several if one.name not in params.effects)]
         nothing = [np.empty((*residual.shape, 0)) for residual in self.missed]
@@ -327,12 +325,11 @@ class Climber:
         tangents: list[Tangent] | None = None,
     ) -> View:
         """Return all candidates about a model, the posterior over their sets, and the structures among them."""
-        flights, times, channels = self.predictor.flights, self.predictor.times, self.predictor.channels
         structures, fitter = list[Nuisance](), own[present.label]
         forget_but(own, present.label)
 
         def of_residuals(residuals: list[Array], effects: dict[str, list[Derivatives]]) -> list[Nuisance]:
-            structures.extend(structures_of(flights, times, channels, self.missed, residuals, effects, self.of_flights))
+            structures.extend(self.nuisances.beside(residuals, effects))
             return structures
 
         library = build_library(
@@ -345,7 +342,7 @@ class Climber:
             structures=of_residuals,
             tangents=tangents,
             tolerance=fitter.tolerance,
-            parts=parts_of_a_flight(len(times)),
+            parts=parts_of_a_flight(len(self.predictor.times)),
         )
         normal = normal_of(library)
         here = place_of(library, present)
