@@ -160,9 +160,9 @@ class LoadReplay:
         moved[1:] += NUDGE * torch.eye(4, dtype=torch.float64).unsqueeze(1)
         weight = self._inside.unsqueeze(-1) / FORCE_STD  # (K + 1, F, 1)
         prior = torch.tensor(START_STD, dtype=torch.float64).pow(-2)
+        side_by_side = self._acceleration[: 2 * max(self._num_found) + 1].repeat(1, 5, 1)
         for count in self._num_found:
-            start = torch.cat([self._started(numbers) for numbers in moved])
-            acceleration = self._acceleration[: 2 * count + 1].repeat(1, 5, 1)
+            start, acceleration = self._started(moved).flatten(0, 1), side_by_side[: 2 * count + 1]
             force = swing(effect, params[0], start, acceleration, step=STEP_S, gravity=model.gravity)[1]
             pulled = force.unflatten(1, (5, num_flights)) / model.vehicle.mass[0]  # (K + 1, 5, F, 3)
             left = (missed[: count + 1] - pulled[:, 0]) * weight[: count + 1]
@@ -173,9 +173,9 @@ class LoadReplay:
         return self._started(moved[0])
 
     def _started(self, numbers: Tensor) -> Tensor:
-        """Return links (F, 6) that two angles and two rates (F, 4) move away from hanging still."""
+        """Return links (any, F, 6) that two angles and two rates (any, F, 4) move away from hanging still."""
         first, second, hanging = self._axes.unbind(1)
-        moved = hanging + numbers[:, :1] * first + numbers[:, 1:2] * second
+        moved = hanging + numbers[..., :1] * first + numbers[..., 1:2] * second
         direction = torch.nn.functional.normalize(moved, dim=-1)
-        rate = numbers[:, 2:3] * first + numbers[:, 3:] * second
+        rate = numbers[..., 2:3] * first + numbers[..., 3:] * second
         return torch.cat((direction, rate - (rate * direction).sum(-1, keepdim=True) * direction), dim=-1)
