@@ -91,6 +91,7 @@ def roll_out(
     return roll_out_variants(robot, flights, params, variant, links=links, horizons=horizons, tolerances=tolerances)[""]
 
 
+@torch.inference_mode()
 def roll_out_variants(
     robot: RobotCfg,
     flights: Sequence[Flight],

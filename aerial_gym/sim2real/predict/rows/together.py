@@ -125,6 +125,7 @@ class Together:
         self._hung: _Hanging | None = None
         self._params, self._in_step = declared_params(robot), None
 
+    @torch.inference_mode()
     def predict(self, params: ModelParams) -> list[Columns]:
         """Return the predicted channels of each flight; not to be written to."""
         asked = self._asked(params)
@@ -137,6 +138,7 @@ class Together:
         columns = [column for kind in kinds for column in rows[kind]]
         return [[column[span] for column in columns] for span in self.data.kept_spans]
 
+    @torch.inference_mode()
     def felt(self, params: ModelParams) -> list[Array]:
         """Return the inputs of a learned residual at the rows of each flight, in the band, (rows kept, 7) each."""
         asked = self._asked(params)
@@ -144,6 +146,7 @@ class Together:
         rows = felt_inputs(condition.air_velocity, condition.ang_vel, condition.rotor_speed).numpy()
         return [self.data.slow(index, rows[span]) for index, span in enumerate(self.data.spans)]
 
+    @torch.inference_mode()
     def links(self, params: ModelParams) -> list[Link]:
         """Return how the load swings along each flight."""
         asked = self._asked(params)
