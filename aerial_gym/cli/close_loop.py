@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from aerial_gym.cli.progress import progress_bar
+from aerial_gym.lazy import no_garbage
 
 if TYPE_CHECKING:
     from aerial_gym.sim2real import Verdict
@@ -73,10 +74,11 @@ class CloseLoopCmd:
 
     def run(self) -> int:
         """Run the loop and print the verdict; return the exit status."""
-        from aerial_gym.config import load
-        from aerial_gym.sim2real import close_loop
-        from aerial_gym.sim2real.identify.selection.scoring import Criteria
-        from aerial_gym.sim2real.predict.tolerances import Tolerances
+        with no_garbage():
+            from aerial_gym.config import load
+            from aerial_gym.sim2real import close_loop
+            from aerial_gym.sim2real.identify.selection.scoring import Criteria
+            from aerial_gym.sim2real.predict.tolerances import Tolerances
 
         criteria = Criteria(material=self.material)
         tolerances = None if self.tolerances is None else load(Tolerances, self.tolerances)

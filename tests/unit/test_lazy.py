@@ -1,12 +1,13 @@
 """Names that are loaded when first used, and what is said about them before."""
 
+import gc
 import importlib
 import sys
 from pathlib import Path
 
 import pytest
 
-from aerial_gym.lazy import Home
+from aerial_gym.lazy import Home, no_garbage
 from aerial_gym.physics import BACKENDS, EFFECTS
 
 
@@ -53,3 +54,17 @@ def test_summaries_read_from_sources_are_those_of_the_objects() -> None:
         assert EFFECTS.get(name).summary == summary
     for name, summary in BACKENDS.summaries().items():
         assert (BACKENDS.get(name).__doc__ or "").splitlines()[0] == summary
+
+
+def test_garbage_is_looked_for_again_after_imports() -> None:
+    """Not inside, as before afterwards, and where it was not looked for before it is not afterwards."""
+    with no_garbage():
+        assert not gc.isenabled()
+    assert gc.isenabled()
+    gc.disable()
+    try:
+        with no_garbage():
+            pass
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
