@@ -72,7 +72,7 @@ class Guard:
     def __init__(self, library: Library, sets: Sets) -> None:
         """Take the posterior over sets of a library of candidates."""
         self._sets, self._candidates = sets, candidates_of(library)
-        self._parts = [normal_of(library, np.array([k])) for k in range(library.moments.count.size)]
+        self._parts = [normal_of(library, slice(k, k + 1)) for k in range(library.moments.count.size)]
         self._whole = normal_of(library)
         self._support: dict[Model, dict[int, Support]] = {}
 

@@ -37,13 +37,14 @@ def candidates_of(library: Library) -> Candidates:
     )
 
 
-def normal_of(library: Library, blocks: NDArray[np.int64] | None = None) -> Normal:
-    """Return the weighted sums over some blocks, all if None."""
-    chosen = slice(None) if blocks is None else blocks
+def normal_of(library: Library, blocks: slice = slice(None)) -> Normal:
+    """Return the weighted sums over some blocks."""
+    product = library.moments.product[blocks]
+    alone = product.shape[:2] == (1, 1) and library.weight[0] == 1.0  # then it need not be held a second time
     return Normal(
-        product=np.einsum("c,bckl->kl", library.weight, library.moments.product[chosen]),
-        gradient=np.einsum("c,bck->k", library.weight, library.moments.gradient[chosen]),
-        constant=-0.5 * float(library.moments.square[chosen].sum(axis=0) @ library.weight),
+        product=product[0, 0] if alone else np.einsum("c,bckl->kl", library.weight, product),
+        gradient=np.einsum("c,bck->k", library.weight, library.moments.gradient[blocks]),
+        constant=-0.5 * float(library.moments.square[blocks].sum(axis=0) @ library.weight),
     )
 
 

@@ -162,6 +162,9 @@ class View:
 class Climber:
     """Goes from set to set until none is better."""
 
+    view: View
+    """All candidates about where it is. They take memory: those about the set before are let go of first."""
+
     _weighed: tuple[ModelParams, Weighting]
     """The last model whose weights were taken, and these."""
 
@@ -178,18 +181,20 @@ class Climber:
         Only then are rivals fitted, which are many and seldom better.
         """
         likely = (self.fit_probable, self.fit_fewer)
-        view = self.start()
+        self.view = self.start()
         for ways in (likely, (*likely, self.fit_rivals, self.fit_nearest)):
             for left in reversed(range(MOST_WEIGHINGS)):
-                view = self.climb(view, ways)
-                weights = self.weights_about(view)
-                change = np.log(weights.weight / view.fitter.weights.weight)
+                self.climb(ways)
+                weights = self.weights_about(self.view)
+                change = np.log(weights.weight / self.view.fitter.weights.weight)
                 if not left or np.all(np.abs(change) < SETTLED):
                     break
-                view.let_go()
-                view = self.start_from(view.present.within, view.present.effects, view.present.structures, weights)
-        view.let_go()
-        return view
+                self.view.let_go()
+                present = self.view.present
+                del self.view
+                self.view = self.start_from(present.within, present.effects, present.structures, weights)
+        self.view.let_go()
+        return self.view
 
     def start(self) -> View:
         """Return all candidates about the declared model, under the weights that it leaves."""
@@ -236,23 +241,23 @@ class Climber:
             present = fitter.without_weakest(present)
         return self.view_about(present, {present.label: fitter}, {nothing.label: nothing}, tangents)
 
-    def climb(self, view: View, ways: Sequence[Way]) -> View:
-        """Return the best set that fits lead to from a present one, with all candidates about it."""
+    def climb(self, ways: Sequence[Way]) -> None:
+        """Go to the best set that fits lead to from the present one."""
         for count in range(MOST_ROUNDS):
             self.progress(f"sets of effects, round {count + 1}", count / MOST_ROUNDS)
-            present = view.present
-            for more in (way for way in ways if way not in view.gone):
+            present, own, fits = self.view.present, self.view.own, self.view.fits
+            for more in (way for way in ways if way not in self.view.gone):
                 settled = -1
-                while settled != len(view.own) and self.leader(view) is present:  # else what looked best was not
-                    settled = len(view.own)
-                    more(view)
-                    self.leader(view)
-                view.gone.append(more)
-            if (leader := self.leader(view)) is present:
-                return view
-            view.library.tangents.clear()  # they take memory
-            view = self.view_about(leader, view.own, view.fits)
-        return view
+                while settled != len(own) and self.leader(self.view) is present:  # else what looked best was not
+                    settled = len(own)
+                    more(self.view)
+                    self.leader(self.view)
+                self.view.gone.append(more)
+            if (leader := self.leader(self.view)) is present:
+                return
+            del self.view
+            give_back_memory()
+            self.view = self.view_about(leader, own, fits)
 
     def fitter_about(self, params: ModelParams, weights: Weighting) -> Fitter:
         """Return what fits sets with the tolerances linear about a model."""

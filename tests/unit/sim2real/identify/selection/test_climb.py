@@ -123,10 +123,9 @@ class Going(Climber):
         fitter = SimpleNamespace(weights=weights)
         return cast("Any", SimpleNamespace(present=fitted(), fitter=fitter, let_go=lambda: None))
 
-    def climb(self, view: View, ways: Any) -> View:
-        """Return the same."""
+    def climb(self, ways: Any) -> None:
+        """Stay."""
         self.gone.append("all" if self.fit_rivals in ways else "likely")
-        return view
 
 
 @pytest.mark.parametrize(
