@@ -1,9 +1,10 @@
 """The report of a closed loop: one self-contained page, the same in Markdown, and the residuals as a table."""
 
+import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import pandas as pd
+import numpy as np
 
 from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.evaluation import missing_for_rollouts
@@ -110,15 +111,14 @@ def write_residuals(path: Path, predictors: dict[str, Predictor], models: Mappin
 
     The declared model is called before, the corrected one after.
     """
-    tables = []
-    for name, predictor in predictors.items():
-        residuals = {LABELS[model]: predictor.residuals(params) for model, params in models.items()}
-        for index, flight in enumerate(predictor.flights):
-            columns: dict[str, object] = {"flight": flight.name, "set": name, "t": predictor.times[index]}
-            for place, channel in enumerate(predictor.channels):
-                start = f"{channel.kind}_{channel.axis}"
-                columns[f"{start}_measured"] = predictor.measured[index][:, place]
-                for label, values in residuals.items():
-                    columns[f"{start}_{label}"] = values[index][:, place]
-            tables.append(pd.DataFrame(columns))
-    pd.concat(tables).to_csv(path, index=False, float_format="%.6g")
+    kinds = ("measured", *(LABELS[model] for model in models))
+    with path.open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+        channels = next(iter(predictors.values())).channels
+        names = [f"{channel.kind}_{channel.axis}_{kind}" for channel in channels for kind in kinds]
+        table.writerow(["flight", "set", "t", *names])
+        for name, predictor in predictors.items():
+            values = [predictor.measured, *(predictor.residuals(params) for params in models.values())]
+            for flight, time, *parts in zip(predictor.flights, predictor.times, *values, strict=True):
+                rows = np.column_stack((time, np.stack(parts, axis=2).reshape(len(time), -1)))
+                table.writerows([flight.name, name, *(f"{value:.6g}" for value in row)] for row in rows.tolist())
