@@ -53,6 +53,9 @@ KEPT_BYTES = 6e7
 """Predictions are kept as long as they would take no more [bytes] if they had nothing in common: a fit begins where a first
 look at the same effect has been, and both begin at the present model."""
 
+MOST_TOLD = 512
+"""Models of which is kept what tells their predictions apart."""
+
 
 class Predictor:
     """Measured channels of some flights, and the predictions of any model for them."""
@@ -104,6 +107,7 @@ class Predictor:
         self.times = [time for part in self._parts for time in part.data.times]
         self._declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
         self._predictions: OrderedDict[tuple[object, ...], list[Columns]] = OrderedDict()
+        self._told: dict[tuple[object, ...], tuple[object, ...]] = {}
 
     @property
     def num_tolerances(self) -> int:
@@ -114,7 +118,12 @@ class Predictor:
         """Return the predicted channels of each flight, (rows kept, C)."""
         changing = {name: values for name, values in params.effects.items() if not self._adds_nothing(name, values)}
         params = replace(params, effects=changing)
-        key = self._told_apart(params)
+        numbers = (params.learned, *key_of(params))
+        if numbers not in self._told:
+            self._told[numbers] = self._told_apart(params)
+            if len(self._told) > MOST_TOLD:
+                del self._told[next(iter(self._told))]
+        key = self._told[numbers]
         if key not in self._predictions:
             self._predictions[key] = [found for part in self._parts for found in part.predict(params)]
             if len(self._predictions) * sum(part.nbytes for part in self.measured) > KEPT_BYTES:
