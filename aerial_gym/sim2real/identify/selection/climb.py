@@ -18,12 +18,7 @@ from aerial_gym.sim2real.identify.candidates.library import (
     has_starts,
     tangents_about,
 )
-from aerial_gym.sim2real.identify.candidates.nuisance import (
-    Nuisance,
-    Nuisances,
-    beyond_structures,
-    most_of_flights,
-)
+from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance, Nuisances, beyond_structures, most_of_flights
 from aerial_gym.sim2real.identify.evidence.fitting import (
     ENOUGH,
     Compared,
@@ -193,8 +188,10 @@ class Climber:
                 present = self.view.present
                 del self.view
                 self.view = self.start_from(present.within, present.effects, present.structures, weights)
-        self.view.let_go()
-        return self.view
+        last = self.view
+        last.let_go()
+        del self.view  # whose ways are the climber's: neither would go
+        return last
 
     def start(self) -> View:
         """Return all candidates about the declared model, under the weights that it leaves."""
