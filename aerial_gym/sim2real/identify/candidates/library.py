@@ -207,7 +207,7 @@ def build_library(
         )
         derivatives.append(structure.columns)
         width += places.size
-    derivatives.append(single(tolerance_jacobian(predictor, present)) if tolerance is None else tolerance)
+    derivatives.append(tolerance_jacobian(predictor, present, np.float32) if tolerance is None else tolerance)
     flights = list(zip(*derivatives, strict=True))
     if by_channel:
         moments = moments_by_channel(residuals, flights)

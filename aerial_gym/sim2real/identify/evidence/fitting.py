@@ -155,7 +155,7 @@ class Fitter:
     def tolerance(self) -> Derivatives:
         """Return the derivatives by the deviations about the present model, (rows, C, N) of each flight."""
         if self._tolerance is None:
-            self._tolerance = single(tolerance_jacobian(self.predictor, self._present))
+            self._tolerance = tolerance_jacobian(self.predictor, self._present, np.float32)
         return self._tolerance
 
     def beside(self, structures: Sequence[Nuisance], more: Sequence[Array] | None = None) -> Beside:

@@ -5,6 +5,7 @@ Letters: C channels, P parameters of effects, N tolerances.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +25,9 @@ STEP = 1e-3
 """Difference step in units of a parameter's scale or of a tolerance."""
 
 
-def column_by_column(like: Array, parameters: int) -> Array:
+def column_by_column(like: Array, parameters: int, dtype: type[np.floating] = np.float64) -> NDArray[Any]:
     """Return zeros (rows, C, P) for a prediction (rows, C); neighbours in memory are rows, as they are written and read."""
-    return np.zeros((parameters, *like.T.shape)).T
+    return np.zeros((parameters, *like.T.shape), dtype=dtype).T
 
 
 def effect_jacobian(
@@ -60,15 +61,17 @@ def effect_jacobian(
     return found
 
 
-def tolerance_jacobian(predictor: Predictor, params: ModelParams) -> list[Array]:
-    """Return the derivative of the prediction by the deviations, each (rows, C, N).
+def tolerance_jacobian(
+    predictor: Predictor, params: ModelParams, dtype: type[np.floating] = np.float64
+) -> list[NDArray[Any]]:
+    """Return the derivative of the prediction by the deviations, each (rows, C, N); in single precision as of ``single``.
 
     Half way to those of the model: times them it is what they change together, but for terms of third order. Deviations act on
     each other: a sensor that is late is elsewhere than the motion says.
     """
     half = np.zeros(predictor.num_tolerances) if params.deviation is None else 0.5 * params.deviation
     base = predictor.predict(replace(params, deviation=half if half.any() else None))
-    found = [column_by_column(b, predictor.num_tolerances) for b in base]
+    found = [column_by_column(b, predictor.num_tolerances, dtype) for b in base]
     for k in range(predictor.num_tolerances):
         deviation = half + STEP * np.eye(predictor.num_tolerances)[k]
         moved = predictor.predict(replace(params, deviation=deviation))

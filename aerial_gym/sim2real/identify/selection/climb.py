@@ -31,7 +31,7 @@ from aerial_gym.sim2real.identify.evidence.guard import Guard, parts_of_a_flight
 from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.evidence.linear import candidates_of, normal_of
 from aerial_gym.sim2real.identify.evidence.search import Sets, search
-from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, single, tolerance_jacobian
+from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.least_squares.weighting import weighting
@@ -196,8 +196,8 @@ class Climber:
     def start(self) -> View:
         """Return all candidates about the declared model, under the weights that it leaves."""
         tangents = tangents_about(self.predictor, self.declared, self.declared, skipped=self.skipped)
-        tolerance = tolerance_jacobian(self.predictor, self.declared)
-        self._weighed = self.declared, self.weigh(self.declared, tangents, single(tolerance))
+        tolerance = tolerance_jacobian(self.predictor, self.declared, np.float32)
+        self._weighed = self.declared, self.weigh(self.declared, tangents, tolerance)
         return self.start_from(self.declared, (), (), self._weighed[1], tangents)
 
     def weights_about(self, view: View) -> Weighting:
