@@ -18,7 +18,7 @@ import torch
 
 from aerial_gym.config.storage import told_storage, write_whole
 from aerial_gym.control import CONTROLLERS
-from aerial_gym.errors import ConfigError, MissingDependencyError
+from aerial_gym.errors import AerialGymError, ConfigError, MissingDependencyError, StorageError, TrainingError
 from aerial_gym.physics import BACKENDS
 from aerial_gym.rl_training.policies.load import checkpoint_of, load_policy
 from aerial_gym.rl_training.ranks import Ranks, joined_ranks, own_device
@@ -110,9 +110,31 @@ def train(
                 f"trainer {cfg.trainer} learns in one process, and {ranks.size} were started. Leave torchrun out, or use "
                 f"--trainer {' or '.join(SCALING)}"
             )
-        return _train(
-            cfg, folder, ranks, started=started, resume=resume, show_progress=show_progress, watch=watch, wandb=wandb
-        )
+        with contextlib.nullcontext() if resume else _begun(cfg, folder, ranks):
+            return _train(
+                cfg,
+                folder,
+                ranks,
+                started=started,
+                resume=resume,
+                show_progress=show_progress,
+                watch=watch,
+                wandb=wandb,
+            )
+
+
+@contextlib.contextmanager
+def _begun(cfg: TrainingCfg, folder: RunFolder, ranks: Ranks) -> Iterator[None]:
+    """Make the folder of a new run; nothing of it is left where what is inside refuses the request before it begins."""
+    folder.create(cfg)
+    try:
+        yield
+    except (StorageError, TrainingError):
+        raise
+    except AerialGymError:
+        if ranks.leads:
+            folder.discard_unless_begun()
+        raise
 
 
 @contextlib.contextmanager
@@ -136,8 +158,6 @@ def _train(
     watch: bool,
     wandb: str | None,
 ) -> TrainingResult:
-    if not resume:
-        folder.create(cfg)
     resumed = ranks.told_of(folder.newest_whole() if resume and ranks.leads else None)
     if resume and resumed is None and ranks.leads:
         _log.warning(

@@ -36,6 +36,9 @@ from aerial_gym.errors import ConfigError, StorageError
 from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.settings import TrainingCfg, load_settings
 
+VERSIONS = "versions.json"
+"""File with a line for every session: a folder without it holds no training that has begun."""
+
 KEPT_CHECKPOINTS = 2
 """The last one, and the one before it in case the disk damages the last."""
 
@@ -53,6 +56,7 @@ class RunFolder:
         self.path = Path(path)
         self.config_file, self.curve_file = self.path / "config.yaml", self.path / "curve.csv"
         self.result_file, self.log_file = self.path / "result.json", self.path / "log.txt"
+        self.versions_file = self.path / VERSIONS
         self.checkpoint_folder = self.path / "checkpoints"
         self.encoder_file = self.path / "encoder.pt"
 
@@ -70,6 +74,15 @@ class RunFolder:
         if cfg.encoder is not None and Path(cfg.encoder).is_file():
             write_whole(self.encoder_file, Path(cfg.encoder).read_bytes())
         write_whole(self.config_file, dump_yaml(cfg))
+
+    def discard_unless_begun(self) -> None:
+        """Remove what a training left that was refused before its first session, and the folder if nothing else is in it."""
+        if self.versions_file.exists():
+            return
+        for file in (self.config_file, self.encoder_file, self.curve_file, self.log_file):
+            file.unlink(missing_ok=True)
+        if self.path.is_dir() and not any(self.path.iterdir()):
+            self.path.rmdir()
 
     def config(self) -> TrainingCfg:
         """Return the settings of the run; its encoder is the copy in the folder, wherever that is now.
@@ -174,7 +187,7 @@ class RunFolder:
 
 def note_session(folder: Path, *, seed: int, device: str) -> None:
     """Append seed, device, versions and machine of a session to ``versions.json`` of a folder."""
-    file = folder / "versions.json"
+    file = folder / VERSIONS
     sessions = json.loads(file.read_text(encoding="utf-8")) if file.exists() else []
     sessions.append(
         {

@@ -113,6 +113,7 @@ def test_a_run_is_neither_overwritten_nor_resumed_from_nothing(
         (("--task", "hover"), "no task 'hover'"),
         (("--robot", "tinyprp"), "no robot 'tinyprp'"),
         (("--num-envs", "0"), "num_envs"),
+        (("--task", "navigation_task", "--encoder", "collision_40x24", "--device", "cpu"), "Choose the robot of its"),
     ],
 )
 def test_wrong_trainings_end_with_status_2_and_leave_nothing(
