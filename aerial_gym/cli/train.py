@@ -10,8 +10,11 @@ from rich.console import Console
 from aerial_gym.errors import ConfigError
 
 if TYPE_CHECKING:
+    from aerial_gym.rl_training.settings import TrainingCfg
     from aerial_gym.rl_training.training import TrainingResult
 
+TASK, TRAINER = "position_setpoint_task", "ppo"
+"""What is trained, and by what, if nothing is named."""
 
 LIMITS = ("max_time_s", "max_env_steps")
 """Of a training; what is given on the command line replaces both of the settings."""
@@ -21,13 +24,13 @@ LIMITS = ("max_time_s", "max_env_steps")
 class TrainCmd:
     """Train a policy with a learner of this package, with rl-games or with Sample Factory."""
 
-    task: str = "position_setpoint_task"
+    task: str | None = None
     """Registered task, a task file (.yaml), a level of lsy_drone_racing (.toml), or
-    module:Name or file.py:Name of a TaskCfg or a Task of your own."""
+    module:Name or file.py:Name of a TaskCfg or a Task of your own; position_setpoint_task if not given."""
 
-    trainer: str = "ppo"
+    trainer: str | None = None
     """ppo (of this package; all in one graph on a GPU), apg (gradients through the simulation), distill (a student learns
-    what a trained policy does), rl_games or sample_factory."""
+    what a trained policy does), rl_games or sample_factory; ppo if not given."""
 
     teacher: Path | None = None
     """Run folder, or one checkpoint in it, of the policy that distill hands on."""
@@ -91,15 +94,18 @@ class TrainCmd:
         from aerial_gym.rl_training.training import train
         from aerial_gym.task import task_registry
 
-        task_registry.get(self.task)
+        task = TASK if self.task is None else self.task
+        task_registry.get(task)
         if self.resume:
             cfg = RunFolder(self.out).config()
-            self._refuse_changes()
+            self._refuse_changes(cfg)
         else:
-            cfg = replace(
-                load_settings(self.config or settings_for(self.trainer, self.task, device=self.device or "auto")),
-                task=self._task(),
-            )
+            known = self.config or settings_for(self.trainer or TRAINER, task, device=self.device or "auto")
+            cfg = replace(load_settings(known), task=lasting_name(task))
+            if self.trainer not in (None, cfg.trainer):
+                raise ConfigError(
+                    f"--trainer {self.trainer}: the settings in {known} are of {cfg.trainer}. Leave one out"
+                )
         names = (
             "num_envs",
             "device",
@@ -140,17 +146,26 @@ class TrainCmd:
             again = f"train --out {self.out} --resume" if result.interrupted else f"evaluate --policy {self.out}"
             console.print(f"next: aerial-gym {again}")
 
-    def _task(self) -> str:
-        """Return the task by a name that holds in every folder."""
-        file, colon, name = self.task.rpartition(":")
-        if file.endswith(".py"):
-            return f"{Path(file).resolve()}{colon}{name}"
-        return str(Path(self.task).resolve()) if self.task.endswith((".yaml", ".yml", ".toml")) else self.task
-
-    def _refuse_changes(self) -> None:
+    def _refuse_changes(self, cfg: "TrainingCfg") -> None:
+        for flag, given, own in (
+            ("task", None if self.task is None else lasting_name(self.task), cfg.task),
+            ("trainer", self.trainer, cfg.trainer),
+        ):
+            if given not in (None, own):
+                raise ConfigError(
+                    f"--{flag} {given}: the run in {self.out} is of {own}. Leave it out, or start a new run in another --out"
+                )
         for name in ("config", "teacher", "initial", "num_envs", "seed", "robot", "controller", "backend", "encoder"):
             if getattr(self, name) is not None:
                 flag = name.replace("_", "-")
                 raise ConfigError(
                     f"--{flag}: a resumed run keeps its own. Leave it out, or start a new run in another --out"
                 )
+
+
+def lasting_name(task: str) -> str:
+    """Return a task by a name that holds in every folder."""
+    file, colon, name = task.rpartition(":")
+    if file.endswith(".py"):
+        return f"{Path(file).resolve()}{colon}{name}"
+    return str(Path(task).resolve()) if task.endswith((".yaml", ".yml", ".toml")) else task

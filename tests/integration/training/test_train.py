@@ -113,6 +113,7 @@ def test_a_run_is_neither_overwritten_nor_resumed_from_nothing(
         (("--task", "hover"), "no task 'hover'"),
         (("--robot", "tinyprp"), "no robot 'tinyprp'"),
         (("--num-envs", "0"), "num_envs"),
+        (("--trainer", "rl_games", "--config", str(settings_for("ppo", "tracking_task"))), "are of ppo. Leave one out"),
         (("--task", "navigation_task", "--encoder", "collision_40x24", "--device", "cpu"), "Choose the robot of its"),
     ],
 )
@@ -165,6 +166,25 @@ def test_sigterm_saves_and_a_full_disk_ends_with_a_sentence(
     said = capsys.readouterr().err.strip().splitlines()[-1]
     assert "disk is full" in said
     assert f"The last checkpoint is {saved[0]}" in said
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (("--task", "tracking_task"), "--task tracking_task: the run in {out} is of position_setpoint_task"),
+        (("--trainer", "rl_games"), "--trainer rl_games: the run in {out} is of ppo"),
+    ],
+)
+def test_a_resumed_run_refuses_another_task_and_trainer(
+    more: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its own may be named."""
+    RunFolder(tmp_path).create(load_settings(settings_for("ppo", "position_setpoint_task", device="cpu")))
+    again = ("train", "--out", str(tmp_path), "--resume", "--num-envs", "7")
+    assert main([*again, *more]) == 2
+    assert message.format(out=tmp_path) in capsys.readouterr().err
+    assert main([*again, "--task", "position_setpoint_task", "--trainer", "ppo"]) == 2
+    assert "--num-envs: a resumed run keeps its own" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("trainer", ["ppo", "rl_games"])
