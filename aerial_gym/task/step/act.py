@@ -18,7 +18,7 @@ from aerial_gym.task.kernels.noise import WhiteNoise
 from aerial_gym.task.kernels.uniform import UniformDraws
 from aerial_gym.task.step.by_row import NamedRows
 from aerial_gym.task.step.lines import Line
-from aerial_gym.task.terms.actions import Action, direct
+from aerial_gym.task.terms.actions import ROTOR_RANGE, Action, affine, direct
 from aerial_gym.task.values import Values
 
 LINE, DELAY, FILTERED, POLICY_ACTION = "command_line", "action_delay", "filtered_command", "policy_action"
@@ -94,6 +94,14 @@ class Actor:
 
     def _check(self, name: str, given: Tensor, num_commands: int) -> None:
         """Refuse a transform that gives no command, before the first step does."""
+        if self.transform is affine:
+            for end in ("low", "high"):
+                told = len(self.params[end])
+                if told != num_commands:
+                    raise ConfigError(
+                        f"action {name}: {end} has {told} numbers, and this robot is told {num_commands}. Choose a robot that "
+                        f"is told {told}, or another {end}; transform {ROTOR_RANGE} has those of the rotors of any robot"
+                    )
         try:
             shape = tuple(self.transform(given, **self.params).shape)
         except Exception as error:

@@ -73,7 +73,8 @@ def test_noise_of_a_command_is_white_and_of_its_deviation() -> None:
 @pytest.mark.parametrize(
     ("transform", "low", "message"),
     [
-        ("affine", (0.0,) * 3, "action affine: cannot be computed .ValueError: zip"),
+        ("affine", (0.0,) * 3, "action affine: low has 3 numbers, and this robot is told 4. Choose a robot"),
+        ("tenth", (), "action tenth: cannot be computed .IndexError"),
         ("half", (), r"action half: returns \(1, 2\) for actions \(1, 4\); the controller takes \(E, U\) = \(1, 4\)"),
     ],
 )
@@ -81,6 +82,7 @@ def test_a_transform_that_gives_no_command_is_refused(
     transform: str, low: tuple[float, ...], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(ACTIONS._entries, "half", Action(value=lambda actions: actions[:, :2]))
+    monkeypatch.setitem(ACTIONS._entries, "tenth", Action(value=lambda actions: actions.unbind(-1)[9]))
     params = {"low": low, "high": (1.0,) * 4} if low else {}
     with pytest.raises(ConfigError, match=message):
         make(1, action=ActionCfg(transform=transform, params=params))
