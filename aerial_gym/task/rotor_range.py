@@ -45,10 +45,11 @@ def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) ->
         return cfg
     if cfg.action.params not in ({}, {"places": 4}):
         raise ConfigError(f"action {ROTOR_RANGE}: params {dict(cfg.action.params)}, expected {{places: 4}} or none")
-    if len(command) > robot.num_rotors and all(name.startswith("thrust") for name in command[: robot.num_rotors]):
+    rotors_told = all(name.startswith(("speed", "thrust")) for name in command[: robot.num_rotors])
+    if len(command) > robot.num_rotors and rotors_told:
         raise ConfigError(
-            f"action {ROTOR_RANGE}: it tells rotors alone, and this robot is told {command[robot.num_rotors]}, ... of its "
-            "driven joints as well. Choose a task that tells them, as position_setpoint_task_reconfigurable does"
+            f"action {ROTOR_RANGE}: it tells rotors alone, and this robot is told {', '.join(command[robot.num_rotors :])} of "
+            "its driven joints as well. Choose a task that tells them, as position_setpoint_task_reconfigurable does"
         )
     ranges: list[tuple[float, float]] = []
     for name, rotor in zip(command, robot.rotor_types, strict=False):

@@ -138,9 +138,13 @@ def test_what_cannot_turn_about_each_axis_is_refused() -> None:
         mix_of_four(robot)
 
 
-def test_a_robot_that_is_told_joints_as_well_is_refused() -> None:
-    with pytest.raises(ConfigError, match="told yaw_1 velocity, .* position_setpoint_task_reconfigurable"):
-        task_registry.make_task(NAME, num_envs=2, device="cpu", robot="snakey6")
+@pytest.mark.parametrize(
+    ("robot", "joints"), [("snakey6", "yaw_1 velocity, .*"), ("tilt_tricopter", "[a-z_]+ position")]
+)
+def test_a_robot_that_is_told_joints_as_well_is_refused(robot: str, joints: str) -> None:
+    """Whether its rotors are told thrusts or speeds."""
+    with pytest.raises(ConfigError, match=f"told {joints} of its .* position_setpoint_task_reconfigurable"):
+        task_registry.make_task(NAME, num_envs=2, device="cpu", robot=robot)
 
 
 def test_an_unknown_number_of_places_is_refused() -> None:
