@@ -3,6 +3,8 @@
 Exit status: 0 done, 1 failed, 2 wrong request (one sentence, no traceback).
 """
 
+import os
+import select
 import sys
 from collections.abc import Sequence
 from typing import Protocol
@@ -72,11 +74,23 @@ def _parse(argv: Sequence[str]) -> Command | int:
     return tyro.cli(command, args=argv[1:], prog=f"aerial-gym {argv[0]}")
 
 
+def _is_read() -> bool:
+    """Return whether anybody reads what is printed; ``| head`` that has enough does not, and nothing is said then."""
+    out = select.poll()
+    out.register(sys.stdout.fileno(), 0)
+    if not any(event & select.POLLERR for _, event in out.poll(0)):
+        return True
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what is flushed at the end
+    return False
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     try:
         command = _parse(sys.argv[1:] if argv is None else argv)
-        return command if isinstance(command, int) else command.run()
+        status = command if isinstance(command, int) else command.run()
+        sys.stdout.flush()
+        return status
     except SystemExit as stop:  # tyro's own: help (0) or a wrong flag (2)
         return int(stop.code or 0)
     except (StorageError, TrainingError) as error:
@@ -86,6 +100,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"aerial-gym: {error}", file=sys.stderr)
         return 2
     except OSError as error:
+        if isinstance(error, BrokenPipeError) and not _is_read():
+            return 1
         from aerial_gym.config.storage import storage_sentence
 
         print(f"aerial-gym: {storage_sentence(error)}", file=sys.stderr)

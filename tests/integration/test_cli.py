@@ -1,6 +1,8 @@
 """The command line: what it prints, and exit status 2 with one sentence for a wrong request."""
 
 import json
+import subprocess
+import sys
 
 import pytest
 
@@ -44,6 +46,16 @@ def test_list_as_json_holds_every_kind(capsys: pytest.CaptureFixture[str]) -> No
     )
     assert set(found["imus"]) == {"base_imu", "bmi088", "vn100"} < set(found["sensors"])
     assert found["controllers"]["no_control"] == "thrust of each rotor [N]"
+
+
+def test_nothing_is_said_where_nobody_reads_on() -> None:
+    """As with ``aerial-gym list --json | head -1``."""
+    command = [sys.executable, "-c", "from aerial_gym.cli.main import entry; entry()", "list", "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.close()
+        assert process.stderr is not None
+        assert (process.stderr.read(), process.wait()) == (b"", 1)
 
 
 def test_list_of_one_kind_is_a_table_with_units_intact(capsys: pytest.CaptureFixture[str]) -> None:
