@@ -14,6 +14,7 @@ from aerial_gym.config.joint import DRIVE_MODES, JointCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp
+from aerial_gym.physics.articulated.free_motion import check_motions
 from aerial_gym.physics.articulated.joint_laws import Creep, Drive, JointLaw, Limits, Spring, dry_friction
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree
 from aerial_gym.physics.vehicle import Vehicle, is_shared
@@ -191,7 +192,7 @@ def articulation_of(robot: RobotCfg, *, like: Tensor) -> Articulation | None:
     """Return how a robot bends, in float type and on the device of ``like``; None for a rigid one.
 
     Raises:
-        ConfigError: If its links weigh more than all of it, or leave a base that no body can be.
+        ConfigError: If its links weigh more than all of it, leave a base that no body can be, or can move without inertia.
     """
     cfg = robot.joints
     if cfg is None:
@@ -245,7 +246,7 @@ def articulation_of(robot: RobotCfg, *, like: Tensor) -> Articulation | None:
         names=cfg.names,
     )
     assert set(found.modes) <= set(DRIVE_MODES)
-    _check_base(robot, found)
+    _check_bodies(robot, found)
     return found
 
 
@@ -262,8 +263,8 @@ def _joint(cfg: JointCfg, parent: int, parent_origin: tuple[float, float, float]
     return Joint(parent=parent, kind=cfg.kind, axis=cfg.axis, position=offset, attitude=attitude)  # type: ignore[arg-type]
 
 
-def _check_base(robot: RobotCfg, articulation: Articulation) -> None:
-    """Raise ``ConfigError`` where what is left for the base is no body."""
+def _check_bodies(robot: RobotCfg, articulation: Articulation) -> None:
+    """Raise ``ConfigError`` where what is left for the base is no body, or a motion has no inertia."""
     exact = articulation.to(torch.zeros(1, dtype=torch.float64))
 
     def rows(values: object) -> Tensor:
@@ -276,13 +277,16 @@ def _check_base(robot: RobotCfg, articulation: Articulation) -> None:
             "vehicle: the base must weigh something"
         )
     whole = _Whole(mass=rows(robot.body.mass), com=rows(robot.body.com), inertia=rows(robot.body.inertia))
-    left = exact.links(whole).inertia[0, 0]  # type: ignore[arg-type]
+    links = exact.links(whole)  # type: ignore[arg-type]
+    left = links.inertia[0, 0]
     moments = torch.linalg.eigvalsh(left)
     if moments[0] < 0.0 or moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-6):
         raise ConfigError(
             f"robot: what the links leave of body.inertia for the base has principal moments {moments.tolist()} kg m², which "
             "no body has. body.inertia is that of the whole vehicle in its reference pose, about its centre of mass"
         )
+    held = (exact.spring.stiffness + exact.spring.damping)[0] + exact.creep_stiffness.sum(0) > 0.0
+    check_motions(exact.tree, links, exact.reference, held, exact.names)
 
 
 @dataclass(frozen=True, kw_only=True)

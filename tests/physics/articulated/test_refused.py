@@ -1,0 +1,77 @@
+"""What of a vehicle with joints is no vehicle: refused where it is built, in words that name it."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from aerial_gym.config.joint import DriveCfg, JointCfg, JointsCfg, LinkCfg, SpringCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.physics.articulated.articulation import articulation_of
+from aerial_gym.robots import ROBOTS
+
+NOTHING = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
+def wheel(moment: float) -> LinkCfg:
+    """Return a link whose centre is on the axis x, and which has a moment of inertia about it."""
+    across = max(moment, 1e-6)
+    return LinkCfg(
+        mass=0.02, com=(0.1, 0.05, 0.0), inertia=((moment, 0.0, 0.0), (0.0, across, 0.0), (0.0, 0.0, across))
+    )
+
+
+def about_x(name: str, **others: object) -> JointCfg:
+    return JointCfg(name=name, axis=(1.0, 0.0, 0.0), position=(0.04, 0.05, 0.0), **others)  # type: ignore[arg-type]
+
+
+def robot_of(*layout: JointCfg, floating: bool = True) -> RobotCfg:
+    plain = ROBOTS.get("morphy_stiff")
+    body = replace(plain.body, inertia=((1e-3, 0.0, 0.0), (0.0, 1e-3, 0.0), (0.0, 0.0, 1.5e-3)))
+    return replace(plain, body=body, joints=JointsCfg(layout=layout, floating=floating, source="test"))
+
+
+def build(robot: RobotCfg) -> None:
+    articulation_of(robot, like=torch.zeros(1))
+
+
+@pytest.mark.parametrize("floating", [True, False])
+def test_a_joint_that_turns_no_inertia_is_refused(floating: bool) -> None:
+    """The acceleration under an effort would be infinite; a drive or dry friction is at its limit then, and holds nothing."""
+    drive = DriveCfg(mode="velocity", damping=0.1, limit=0.2, command_range=(-1.0, 1.0))
+    rubs = SpringCfg(friction=0.1)
+    for joint in (
+        about_x("spin", link=wheel(0.0)),
+        about_x("spin", link=wheel(0.0), drive=drive, spring=rubs),
+    ):
+        with pytest.raises(ConfigError, match="robot: spin can move in the reference pose without moving any mass"):
+            build(robot_of(joint, floating=floating))
+
+
+def test_two_joints_about_one_axis_are_refused_together() -> None:
+    """They may turn against each other, and nothing that weighs anything moves."""
+    with pytest.raises(ConfigError, match="robot: one, other can move in the reference pose without"):
+        build(robot_of(about_x("one"), about_x("other", parent="one", link=wheel(1e-6))))
+
+
+def test_an_inertia_a_spring_or_a_damper_is_enough() -> None:
+    """1e-9 kg m² is a ball of 20 g of a third of a millimetre; a spring without mass is where its forces balance."""
+    build(robot_of(about_x("spin", link=wheel(1e-9))))
+    for spring in (SpringCfg(damping=1e-4), SpringCfg(stiffness=0.1)):
+        build(robot_of(about_x("spin", link=wheel(0.0), spring=spring)))
+        build(robot_of(about_x("one", spring=spring), about_x("other", parent="one", link=wheel(1e-6))))
+
+
+def test_a_wheel_at_the_origin_of_its_body_has_a_size() -> None:
+    link = LinkCfg(mass=0.02, com=(0.0, 0.0, 0.0), inertia=((1e-5, 0.0, 0.0), (0.0, 1e-5, 0.0), (0.0, 0.0, 1e-5)))
+    build(robot_of(JointCfg(name="spin", axis=(0.0, 0.0, 1.0), position=(0.0, 0.0, 0.0), link=link)))
+
+
+def test_links_must_leave_a_body_for_the_base() -> None:
+    heavy = LinkCfg(mass=0.3, com=(0.1, 0.0, 0.0), inertia=NOTHING)
+    with pytest.raises(ConfigError, match=r"its links weigh 0\.3 kg, all of it 0\.29 kg"):
+        build(robot_of(about_x("arm", link=heavy)))
+    far = LinkCfg(mass=0.1, com=(1.0, 0.0, 0.0), inertia=NOTHING)
+    with pytest.raises(ConfigError, match=r"what the links leave of body\.inertia .* no body has"):
+        build(robot_of(about_x("arm", link=far)))
