@@ -33,7 +33,8 @@ class LinkCfg:
     """Centre of mass from the body origin [m], body axes, reference pose."""
 
     inertia: tuple[Vec3, Vec3, Vec3]
-    """About that centre of mass [kg m²], body axes, reference pose; symmetric, and not negative."""
+    """About that centre of mass [kg m²], body axes, reference pose; symmetric, none of the principal moments negative or
+    more than the sum of the others. Zero for a mass that is a point."""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.mass < inf:
@@ -44,8 +45,14 @@ class LinkCfg:
         matrix = np.asarray(self.inertia, dtype=float)
         if not np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-9 * max(float(np.abs(matrix).max()), 1e-30)):
             raise ConfigError(f"LinkCfg.inertia = {self.inertia!r}: must be symmetric")
-        if np.linalg.eigvalsh(matrix)[0] < -1e-12:
+        moments = np.linalg.eigvalsh(matrix)
+        if moments[0] < -1e-12:
             raise ConfigError(f"LinkCfg.inertia = {self.inertia!r}: principal moments must be >= 0")
+        if moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-6):
+            raise ConfigError(
+                f"LinkCfg.inertia: principal moments {moments.tolist()} violate the triangle inequality; the largest must not "
+                "exceed the sum of the others. No link is like that: check digits and units"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

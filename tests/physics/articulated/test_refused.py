@@ -75,3 +75,15 @@ def test_links_must_leave_a_body_for_the_base() -> None:
     far = LinkCfg(mass=0.1, com=(1.0, 0.0, 0.0), inertia=NOTHING)
     with pytest.raises(ConfigError, match=r"what the links leave of body\.inertia .* no body has"):
         build(robot_of(about_x("arm", link=far)))
+
+
+def test_a_link_has_the_inertia_of_a_body() -> None:
+    """A plate has ``Jz = Jx + Jy``, and no body has more; a point has none."""
+
+    def link(x: float, y: float, z: float) -> LinkCfg:
+        return LinkCfg(mass=0.1, com=(0.0, 0.0, 0.0), inertia=((x, 0.0, 0.0), (0.0, y, 0.0), (0.0, 0.0, z)))
+
+    for moments in ((1e-6, 2e-6, 3e-6), (0.0, 0.0, 0.0), (0.0, 1e-6, 1e-6)):
+        link(*moments)
+    with pytest.raises(ConfigError, match=r"LinkCfg\.inertia: principal moments .* violate the triangle inequality"):
+        link(1e-6, 2e-6, 4e-6)
