@@ -26,6 +26,7 @@ class AddedInertia(VehicleEffect):
     excitation = "angular accelerations about each body axis"
     confused_with = ("inertia_error",)
     rotors = ANY_ROTOR
+    on_joints = False
     medium = "water"
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:

@@ -9,6 +9,7 @@ from aerial_gym.config.joint import DriveCfg, JointCfg, JointsCfg, LinkCfg, Spri
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.articulated.articulation import articulation_of
+from aerial_gym.physics.model import check_effects
 from aerial_gym.robots import ROBOTS
 
 NOTHING = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -87,3 +88,16 @@ def test_a_link_has_the_inertia_of_a_body() -> None:
         link(*moments)
     with pytest.raises(ConfigError, match=r"LinkCfg\.inertia: principal moments .* violate the triangle inequality"):
         link(1e-6, 2e-6, 4e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("added_inertia", {"x": 0.01, "y": 0.01, "z": 0.01}),
+        ("added_mass", {"x": 0.1, "y": 0.1, "z": 0.1}),
+        ("joint_spring", {"compliance": 0.1, "tau": 0.02, "hinge": 0.4}),
+    ],
+)
+def test_effects_for_rigid_vehicles_are_refused_by_name(name: str, values: dict[str, float]) -> None:
+    with pytest.raises(ConfigError, match=f"effect {name}: is for rigid vehicles, and this one has joints"):
+        check_effects(replace(ROBOTS.get("morphy"), effects={name: values}, effects_source="test"))
