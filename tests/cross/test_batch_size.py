@@ -7,17 +7,21 @@ import pytest
 import torch
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.control import CONTROLLERS
+from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.math.random import Randomness
-from aerial_gym.physics import BodyState, TorchBackend
+from aerial_gym.physics import BodyState, TorchBackend, build_model, vehicle_from_config
+from aerial_gym.physics.articulated.articulation import articulation_of
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.effects.base import sum_of_crosses, velocity_of_turning
+from aerial_gym.physics.model import robot_effects
+from aerial_gym.physics.state import JointedState, state_at_rest
 from aerial_gym.robots import ROBOTS
 from tests.cross.test_backends import DT, actions_for, build, scale_by_env, start_of
 from tests.physics.vehicles import ON_RIGID, lopsided_robot, random_network
 
 COUNTS = (1, 3, 4, 5, 63, 65, 130)
 MANY = 2048
+BENDING = 130
 
 
 @pytest.fixture(params=[1, 3])
@@ -87,6 +91,38 @@ def test_with_a_learned_residual() -> None:
 @pytest.mark.parametrize("robot", ["tinyprop", "omnidirectional_octarotor"])
 def test_with_a_vehicle_of_its_own_in_each_environment(robot: str) -> None:
     assert_rows_alike(ROBOTS.get(robot), "rotor_speed_control", torch.float32, adjust=scale_by_env)
+
+
+@pytest.mark.parametrize("robot", ["morphy_creeping", "snakey6_effort"])
+def test_of_vehicles_that_bend(robot: str) -> None:
+    """With drag of their links: products of matrices sum in other orders for one environment, and where all share a matrix."""
+    cfg = replace(ROBOTS.get(robot), effects={"link_drag": {"qx": 0.002, "ax": 0.001}}, effects_source="test")
+    gen, ends = torch.Generator().manual_seed(2), {}
+    drawn = torch.rand(BENDING, 60, generator=gen) - 0.5
+    for count in (BENDING, 1, 3, 65):
+        vehicle = vehicle_from_config(cfg, num_envs=count)
+        bends = articulation_of(cfg, like=vehicle.mass)
+        assert bends is not None
+        effects = robot_effects(cfg, num_envs=count, device=torch.device("cpu"), dtype=torch.float32)
+        law = make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81, dt=DT)
+        backend = TorchBackend()
+        model = build_model(vehicle, effects, articulation=bends)
+        backend.allocate(model, law, integrator="euler", random=Randomness(count))
+        still = state_at_rest(count, vehicle.num_rotors, device=torch.device("cpu"), dtype=torch.float32)
+        rows, number = drawn[:count], bends.num_joints
+        moving = replace(still, lin_vel=rows[:, :3].clone(), ang_vel=4.0 * rows[:, 3:6])
+        state = JointedState(
+            **vars(moving),
+            joint_pos=bends.reference + 0.2 * rows[:, 6 : 6 + number],
+            joint_vel=2.0 * rows[:, 20 : 20 + number],
+        )
+        for _ in range(5):
+            backend.step(state, rows[:, 40 : 40 + len(law.action_names) + bends.num_driven] + 0.5, DT, 2)
+        ends[count] = state
+    for count in (1, 3, 65):
+        for name, found in vars(ends[count]).items():
+            assert found.isfinite().all()
+            assert torch.equal(found, getattr(ends[BENDING], name)[:count]), f"{name} among {count}"
 
 
 @pytest.mark.parametrize("cross", [sum_of_crosses, lambda ang_vel, lever: velocity_of_turning(ang_vel[:, 0], lever)])

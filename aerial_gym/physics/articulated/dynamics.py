@@ -71,22 +71,35 @@ def equations(
     motion = move_links(tree, places, lin_vel, state.ang_vel, state.joint_vel)
     turns, moves = turning(tree, places), moving(tree, places, places.com)
     mass = links.mass.expand(len(moves), -1).unsqueeze(-1)
-    matrix = torch.einsum("elan,elam->enm", moves * mass.unsqueeze(-1), moves)
-    matrix = matrix + torch.einsum("elan,elab,elbm->enm", turns, places.inertia, turns)
+    matrix = sum_of_products(moves, moves * mass.unsqueeze(-1))
+    matrix = matrix + sum_of_products(turns, places.inertia @ turns)
     down = quat_rotate_inverse(state.attitude, state.lin_vel.new_tensor((0.0, 0.0, -gravity)).expand_as(state.lin_vel))
     momentum = (places.inertia @ motion.ang_vel.unsqueeze(-1)).squeeze(-1)
     bend = (places.inertia @ motion.ang_acc.unsqueeze(-1)).squeeze(-1) + cross(motion.ang_vel, momentum)
-    force = torch.einsum("elan,ela->en", moves, mass * (down.unsqueeze(1) - motion.com_acc))
-    force = force - torch.einsum("elan,ela->en", turns, bend)
+    force = along_coordinates(moves, mass * (down.unsqueeze(1) - motion.com_acc))
+    force = force - along_coordinates(turns, bend)
     if wrench is not None:
         push, twist = (
             (places.rotation @ part.unsqueeze(-1)).squeeze(-1) for part in (wrench[..., :3], wrench[..., 3:])
         )
-        force = force + torch.einsum("elan,ela->en", moving(tree, places, places.origin), push)
-        force = force + torch.einsum("elan,ela->en", turns, twist)
+        force = force + along_coordinates(moving(tree, places, places.origin), push)
+        force = force + along_coordinates(turns, twist)
     if effort is not None:
         force = torch.cat((force[:, :6], force[:, 6:] + effort), dim=-1)
     return Equations(mass=matrix, force=force, places=places, motion=motion)
+
+
+def along_coordinates(rates: Tensor, vectors: Tensor) -> Tensor:
+    """Return what vectors of links (E, L, 3) do along the coordinates whose rates move these links by (E, L, 3, N), (E, N).
+
+    In products of matrices of each environment: ``einsum`` sums in another order where there is only one.
+    """
+    return torch.bmm(vectors.flatten(1).unsqueeze(1), rates.flatten(1, 2)).squeeze(1)
+
+
+def sum_of_products(one: Tensor, other: Tensor) -> Tensor:
+    """Return ``sum one^T other`` over the links, (E, N, N), of (E, L, 3, N) each; likewise."""
+    return torch.bmm(one.flatten(1, 2).transpose(1, 2), other.flatten(1, 2))
 
 
 def solve(tree: Tree, state: TreeState, mass: Tensor, force: Tensor) -> Accelerations:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from aerial_gym.physics.articulated.dynamics import Equations
+from aerial_gym.physics.articulated.dynamics import Equations, along_coordinates, sum_of_products
 from aerial_gym.physics.articulated.motion import Places, cross, move_links, moving, place_links, turning
 from aerial_gym.physics.articulated.tree import Links, Tree
 
@@ -76,8 +76,8 @@ def damped(tree: Tree, found: Equations, acts: LinkDamping, dt: float) -> Equati
     for jacobian, damping, value in ((pushes, along, through), (turns, about, turn)):
         own = places.rotation.mT @ jacobian  # (E, L, 3, N), axes of the link
         slowed = damping.unsqueeze(-1) * own
-        mass = mass + dt * torch.einsum("elan,elam->enm", own, slowed)
-        force = force - torch.einsum("elan,ela->en", slowed, value)
+        mass = mass + dt * sum_of_products(own, slowed)
+        force = force - along_coordinates(slowed, value)
     return replace(found, mass=mass, force=force)
 
 

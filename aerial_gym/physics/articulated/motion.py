@@ -48,9 +48,9 @@ def place_links(tree: Tree, links: Links, joint_pos: Tensor) -> Places:
     origins, axes = [like.new_zeros(num_envs, 3)], []
     for k, joint in enumerate(tree.joints):
         parent, own = rotations[joint.parent], like.new_tensor(joint.axis)
-        mounted = parent @ quat_to_matrix(like.new_tensor(joint.attitude))
-        origin = origins[joint.parent] + (parent @ like.new_tensor(joint.position))
-        axis = mounted @ own
+        mounted = parent @ quat_to_matrix(like.new_tensor(joint.attitude)).expand_as(parent)
+        origin = origins[joint.parent] + _turned(parent, like.new_tensor(joint.position))
+        axis = _turned(mounted, own)
         if joint.kind == "revolute":
             rotations.append(mounted @ quat_to_matrix(quat_exp(joint_pos[:, k : k + 1] * own)))
             origins.append(origin)
@@ -66,6 +66,12 @@ def place_links(tree: Tree, links: Links, joint_pos: Tensor) -> Places:
         com=origin + (rotation @ links.com.unsqueeze(-1)).squeeze(-1),
         inertia=rotation @ links.inertia @ rotation.transpose(-1, -2),
     )
+
+
+def _turned(rotation: Tensor, vector: Tensor) -> Tensor:
+    """Return ``rotation @ vector``, (E, 3), of one vector for all, (3,), in an order of sums that does not depend on E."""
+    x, y, z = vector.unbind()
+    return rotation[..., 0] * x + rotation[..., 1] * y + rotation[..., 2] * z
 
 
 def turning(tree: Tree, places: Places) -> Tensor:
