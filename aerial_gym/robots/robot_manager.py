@@ -38,6 +38,7 @@ from aerial_gym.robots.differentiable import DifferentiableBackend
 from aerial_gym.robots.felt_scene import declare_felt_scene
 from aerial_gym.robots.hung_load import hung_load
 from aerial_gym.robots.initial_state import InitialState, StepBegin
+from aerial_gym.robots.joints.drawn_bodies import check_drawn_bodies
 from aerial_gym.robots.joints.states import JointStates
 from aerial_gym.robots.noticed import Noticed
 from aerial_gym.robots.parameter_draws import drawing
@@ -199,6 +200,8 @@ class RobotManager:
             return None
         gains = self.controller.named_gains
         randomized = Randomized(cfg, self.cfg, self.declared, self._effects, gains)
+        if self.articulation is not None:
+            check_drawn_bodies(randomized, self.articulation, [params for _, params in self._effects])
         if randomized.drawn_gains:
             self.controller.own_gains()  # pyright: ignore[reportAttributeAccessIssue] - whoever has gains has it
         names = ", ".join(f"{each.name} ({each.cfg.how})" for each in randomized.drawn)

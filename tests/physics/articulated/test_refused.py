@@ -1,10 +1,13 @@
 """What of a vehicle with joints is no vehicle: refused where it is built, in words that name it."""
 
+from contextlib import nullcontext
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 
+from aerial_gym import SimBuilder
 from aerial_gym.config.joint import DriveCfg, JointCfg, JointsCfg, LinkCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
@@ -101,3 +104,28 @@ def test_a_link_has_the_inertia_of_a_body() -> None:
 def test_effects_for_rigid_vehicles_are_refused_by_name(name: str, values: dict[str, float]) -> None:
     with pytest.raises(ConfigError, match=f"effect {name}: is for rigid vehicles, and this one has joints"):
         check_effects(replace(ROBOTS.get("morphy"), effects={name: values}, effects_source="test"))
+
+
+@pytest.mark.parametrize(
+    ("robot", "drawn", "refused"),
+    [
+        ("snakey", "body.mass: {low: 0.5, high: 1.1}", True),
+        ("morphy", "body.mass: {low: 0.9, high: 1.1}", False),
+        ("morphy", "body.inertia: {low: 0.3, high: 1.1}", True),
+        ("morphy", "body.inertia: {low: 0.95, high: 1.05}", False),
+    ],
+)
+def test_draws_must_leave_a_base_that_weighs_something(robot: str, drawn: str, refused: bool, tmp_path: Path) -> None:
+    """Rods carry 0.92 of a snake's 1.225 kg; arms have 4.3e-4 of the 8.5e-4 kg m² of Morphy about x."""
+    (tmp_path / "drawn.yaml").write_text(f"extends: {robot}\nrandomize:\n  {drawn}\n")
+    outcome = pytest.raises(ConfigError, match=r"randomize: body\..* narrower ranges") if refused else nullcontext()
+    with outcome:
+        SimBuilder().build_env(
+            sim_name="base_sim_2ms",
+            env_name="empty_env_2ms",
+            robot_name=str(tmp_path / "drawn.yaml"),
+            controller_name="no_control",
+            num_envs=2,
+            device="cpu",
+            backend="torch",
+        )
