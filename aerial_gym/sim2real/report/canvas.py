@@ -272,15 +272,24 @@ def _thinned(x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _path(mark: Mark, x: Array, y: Array) -> str:
-    """Return a mark whose points are known in the drawing."""
-    known = np.isfinite(x) & np.isfinite(y)
-    if mark.together in (1, x.size):
-        x, y = x[known], y[known]
+    """Return a mark whose points are known in the drawing; a line has a gap where they are not."""
+    known, style = np.isfinite(x) & np.isfinite(y), _style(mark)
     if mark.together == 1:
-        x, y = np.unique(np.stack((x, y), axis=1) // 10.0 * 10.0, axis=0).T  # one dot a pixel
-    elif mark.together > 4 and x.size > 2.0 * (x.max() - x.min()) / 10.0:
+        x, y = np.unique(np.stack((x[known], y[known]), axis=1) // 10.0 * 10.0, axis=0).T  # one dot a pixel
+    elif mark.together == x.size:
+        gaps = np.flatnonzero(np.diff(known)) + 1
+        pieces = zip(np.split(x, gaps), np.split(y, gaps), np.split(known, gaps), strict=True)
+        return "".join(_line(own_x, own_y, style) for own_x, own_y, drawn in pieces if drawn[0])
+    else:
+        whole = np.repeat(known.reshape(-1, mark.together).all(axis=1), mark.together)
+        x, y = x[whole], y[whole]
+    return _stroke(x, y, mark.together, style)
+
+
+def _line(x: Array, y: Array, style: str) -> str:
+    if x.size > 4 and x.size > 2.0 * (x.max() - x.min()) / 10.0:
         x, y = _thinned(x, y)
-    return _stroke(x, y, min(mark.together, max(x.size, 1)), _style(mark))
+    return _stroke(x, y, x.size, style)
 
 
 def _style(mark: Mark) -> str:

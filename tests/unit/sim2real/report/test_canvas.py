@@ -43,6 +43,17 @@ def test_a_long_line_keeps_what_is_seen_of_it(rows: int) -> None:
     assert (y.min(), y.max()) == (pytest.approx(45.0, abs=1.0), pytest.approx(955.0, abs=1.0))
 
 
+def test_what_is_not_known_is_a_gap() -> None:
+    """In a line; an error bar with an end that is not known is left out, and so is a mark of which nothing is."""
+    panel, nothing = Panel(place=(0.0, 0.0, 2200.0, 1100.0)), np.nan
+    panel.line(np.arange(6.0), np.array([nothing, 0.0, 1.0, nothing, 0.0, 1.0]), "#123456")
+    panel.error_bars(np.arange(3.0), np.array([0.0, nothing, 0.0]), np.ones(3), "#123456")
+    panel.line(np.arange(5.0), np.full(5, nothing), "#123456")
+    panel.dots(np.arange(5.0), np.full(5, nothing), "#123456")
+    assert [path.size // 2 for path in drawn(panel)[:3]] == [2, 2, 4]
+    ElementTree.fromstring(f"<svg>{panel.svg(panel.x_values)}</svg>")
+
+
 @pytest.mark.parametrize(
     ("low", "high", "expected"),
     [
