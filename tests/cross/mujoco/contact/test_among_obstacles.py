@@ -36,7 +36,7 @@ def tops(sim) -> torch.Tensor:
 def test_robots_stand_on_tables_of_their_environments(on_legs: str) -> None:
     """Where and as high as each reset draws them; after another seed as well, which gives environments other shapes."""
     sim, seen = build(on_legs, tables(LOW, HIGH)), set()
-    for seed in (0, 1, 2):
+    for seed in (0, 2):
         sim.restart(seed)
         sim.reset()
         middle, top = sim.gtd["obstacle_position"][:, 0].clone(), tops(sim)
