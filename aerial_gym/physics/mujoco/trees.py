@@ -5,9 +5,10 @@ damping C that the laws have in each state:
 
     (M + C dt + K dt²) a = f - h - K q' dt.
 
-MuJoCo's ``Euler`` takes the damping D of a joint so: ``(M + D dt) a = u - h - D q'``. With ``D = C + K dt`` and
-``u = f + C q'`` it is the same step. Damping of links is no joint's: it is held through a step as other forces on links are,
-and refused where it would turn their motion round. A base on a stand is where its state says, and stands still.
+What stands beside M is the armature of a joint in MuJoCo, the inertia of a rotor that turns with it. So contacts, which MuJoCo
+finds before it steps, know it too: were it MuJoCo's own damping, which its ``Euler`` takes only after them, a contact would
+push a light link as if nothing held its joint. Damping of links is no joint's: it is held through a step as other forces on
+links are, and refused where it would turn their motion round. A base on a stand is where its state says, and stands still.
 Letters: E environments, L links, D joints, P parts of obstacles.
 """
 
@@ -69,7 +70,7 @@ class Trees(ABC):
         self._joint_vel = [first.nq + place for place in self._rates]
         self._places = [int(first.body(f"link{link}").id) for link in range(tree.num_links)]
         self._weights = torch.full((num_envs, 13 * tree.num_links + 3), torch.nan, dtype=torch.float64)
-        self._damping = torch.full((num_envs, tree.num_joints), torch.nan, dtype=torch.float64)
+        self._armature = torch.full((num_envs, tree.num_joints), torch.nan, dtype=torch.float64)
         self._pose, self._twist = slice(0, 7), slice(first.nq, first.nq + 6)
         if solids is not None and solids.moves:
             count, of_part = solids.part.shape[1], first.joint("part0")
@@ -92,8 +93,8 @@ class Trees(ABC):
         """
 
     @abstractmethod
-    def _write_damping(self, changed: list[int], damping: Tensor) -> None:
-        """Write the damping of joints [N m s/rad] or [N s/m] in some environments, (K, D)."""
+    def _write_armature(self, changed: list[int], armature: Tensor) -> None:
+        """Write the armature of joints [kg m²] or [kg] in some environments, (K, D)."""
 
     @abstractmethod
     def _run(self, start: Tensor, control: Tensor) -> tuple[Tensor, Tensor | None]:
@@ -104,9 +105,11 @@ class Trees(ABC):
             control: What is held: controls, places of mocap bodies, and their attitudes wxyz, (E, nu + 7 M).
         """
 
-    def _follow(self, links: Links, gravity: float, damping: Tensor) -> None:
+    def _follow(self, links: Links, gravity: float, armature: Tensor) -> None:
         """Write what has changed; gravity is how fast what falls gets faster [m/s²]."""
-        down = torch.zeros_like(damping[:, :1]).expand(-1, 3) + torch.tensor((0.0, 0.0, -gravity), dtype=damping.dtype)
+        down = torch.zeros_like(armature[:, :1]).expand(-1, 3) + torch.tensor(
+            (0.0, 0.0, -gravity), dtype=armature.dtype
+        )
         every = (links.mass, links.com, links.inertia)
         mass, com, inertia = (rows.double().expand(len(down), *rows.shape[1:]) for rows in every)
         weights = torch.cat((mass, com.flatten(1), inertia.flatten(1), down), dim=1)
@@ -116,10 +119,10 @@ class Trees(ABC):
             some = LEAST_MASS * torch.eye(3, dtype=inertia.dtype)
             inertia = torch.where((inertia == 0.0).flatten(2).all(-1)[..., None, None], some, inertia)[changed]
             self._write_links(changed, mass[changed].clamp_min(LEAST_MASS), com[changed], inertia, down[changed])
-        changed = (damping != self._damping).any(dim=-1).nonzero().squeeze(-1).tolist()
+        changed = (armature != self._armature).any(dim=-1).nonzero().squeeze(-1).tolist()
         if changed:
-            self._damping[changed] = damping[changed]
-            self._write_damping(changed, damping[changed])
+            self._armature[changed] = armature[changed]
+            self._write_armature(changed, armature[changed])
 
     def move(
         self,
@@ -182,12 +185,12 @@ class Trees(ABC):
         if self._touches:
             swings = state
         dt = self.dt
-        damping = (acts.damping + dt * acts.stiffness).double()
-        held = acts.value - dt * acts.stiffness * state.joint_vel + damping * swings.joint_vel
+        armature = dt * (acts.damping + dt * acts.stiffness).double()
+        held = acts.value - dt * acts.stiffness * state.joint_vel
         start, places = self._start_of(state, swings)
         control = torch.cat((wrench.flatten(1).double(), held.double(), places), dim=-1)
-        sane = (torch.cat((start, control, damping), dim=-1).abs() < LARGEST).all(dim=-1, keepdim=True)
-        self._follow(links, gravity, torch.where(sane, damping, 0.0))
+        sane = (torch.cat((start, control, armature), dim=-1).abs() < LARGEST).all(dim=-1, keepdim=True)
+        self._follow(links, gravity, torch.where(sane, armature, 0.0))
         end, force = self._run(torch.where(sane, start, self._rest[0]), torch.where(sane, control, self._rest[1]))
         if force is not None:
             self.impulse = torch.where(sane, -dt * force, 0.0)

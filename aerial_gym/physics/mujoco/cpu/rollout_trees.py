@@ -68,9 +68,9 @@ class RolloutTrees(Trees):
             found[env] = copy(kinds[kind])
         return found
 
-    def _follow(self, links: Links, gravity: float, damping: Tensor) -> None:
+    def _follow(self, links: Links, gravity: float, armature: Tensor) -> None:
         self._renew()
-        super()._follow(links, gravity, damping)
+        super()._follow(links, gravity, armature)
 
     def _renew(self) -> None:
         """Make the models anew of environments whose obstacles have become others."""
@@ -80,7 +80,7 @@ class RolloutTrees(Trees):
         if changed:
             self._part.copy_(self._solids.part)
             self._rollouts.replace(self._compile(changed, self._tree, self.dt))
-            self._weights[changed] = self._damping[changed] = torch.nan
+            self._weights[changed] = self._armature[changed] = torch.nan
 
     def _write_links(self, changed: list[int], mass: Tensor, com: Tensor, inertia: Tensor, down: Tensor) -> None:
         self._rollouts.write_bodies(changed, self._places, mass, com, inertia, down)
@@ -88,9 +88,9 @@ class RolloutTrees(Trees):
         if self._touches:
             self._rollouts.refer_contacts_to(changed, self._places, mass.sum(dim=-1))
 
-    def _write_damping(self, changed: list[int], damping: Tensor) -> None:
-        for k, row in zip(changed, damping.numpy(), strict=True):
-            self._rollouts.models[k].dof_damping[self._rates] = row
+    def _write_armature(self, changed: list[int], armature: Tensor) -> None:
+        for k, row in zip(changed, armature.numpy(), strict=True):
+            self._rollouts.models[k].dof_armature[self._rates] = row
 
     def _run(self, start: Tensor, control: Tensor) -> tuple[Tensor, Tensor | None]:
         self._rollouts.start[:, 1:] = start

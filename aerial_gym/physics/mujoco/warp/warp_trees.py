@@ -17,7 +17,7 @@ from aerial_gym.physics.mujoco.bodies import load, principal_axes
 from aerial_gym.physics.mujoco.mjcf import Floor
 from aerial_gym.physics.mujoco.trees import Trees, template
 
-_WRITTEN = ("body_mass", "body_subtreemass", "body_ipos", "body_inertia", "body_iquat", "dof_damping")
+_WRITTEN = ("body_mass", "body_subtreemass", "body_ipos", "body_inertia", "body_iquat", "dof_armature")
 """Of MuJoCo's model, with a row for each environment."""
 
 
@@ -64,8 +64,8 @@ class WarpTrees(Trees):
         self._numbers["body_subtreemass"][changed, 0] = subtrees[:, 0].float()  # of the world
         self._down[changed] = down.float()
 
-    def _write_damping(self, changed: list[int], damping: Tensor) -> None:
-        self._numbers["dof_damping"][torch.tensor(changed)[:, None], self._rates] = damping.float()
+    def _write_armature(self, changed: list[int], armature: Tensor) -> None:
+        self._numbers["dof_armature"][torch.tensor(changed)[:, None], self._rates] = armature.float()
 
     def _run(self, start: Tensor, control: Tensor) -> tuple[Tensor, None]:
         rows = torch.cat((start, control), dim=-1).float()

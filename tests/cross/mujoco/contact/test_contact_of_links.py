@@ -37,7 +37,7 @@ from tests.physics.vehicles import F64
 pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[mujoco]'")
 
 
-@pytest.mark.parametrize(("dt", "damping", "span"), [(0.002, 0.2, 1.5), (0.01, 0.02, 6.0)])
+@pytest.mark.parametrize(("dt", "damping", "span"), [(0.002, 0.2, 1.5), (0.01, 0.02, 6.0), (0.01, 0.2, 6.0)])
 def test_a_vehicle_on_its_arms_bends_and_sinks_as_springs_say(dt: float, damping: float, span: float) -> None:
     """A foot each: m g = 2 K m depth; of an arm the hinge carries ``(M g L / 2 - m_a g l) cos q``, here up."""
     stiffness = 2.0

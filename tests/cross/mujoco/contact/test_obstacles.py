@@ -175,7 +175,9 @@ def test_parts_move_as_their_poses_do() -> None:
 
 RAW = """
 <mujoco>
-  <option timestep="0.002" cone="elliptic" impratio="100" gravity="0 0 -9.81"><flag warmstart="disable"/></option>
+  <option timestep="0.002" cone="elliptic" impratio="100" gravity="0 0 -9.81">
+    <flag warmstart="disable" eulerdamp="disable"/>
+  </option>
   <default><geom condim="3" friction="0.5 0 0"/></default>
   <worldbody>
     <geom type="box" size="2 2 0.5" pos="0.1 0.2 -0.55" quat="0.995 0.0998 0 0"/>
@@ -184,12 +186,12 @@ RAW = """
       <freejoint/>
       <inertial pos="0 0 0" mass="0.2" diaginertia="2e-4 2e-4 4e-4"/>
       <body pos="0.05 0 0">
-        <joint type="hinge" axis="0 1 0" damping="0.002"/>
+        <joint type="hinge" axis="0 1 0" damping="0.002" armature="4e-6"/>
         <inertial pos="0.1 0 0" mass="0.05" diaginertia="1e-5 1e-5 1e-5"/>
         <geom type="sphere" size="0.01" pos="0.2 0 0"/>
       </body>
       <body pos="-0.05 0 0">
-        <joint type="hinge" axis="0 -1 0" damping="0.002"/>
+        <joint type="hinge" axis="0 -1 0" damping="0.002" armature="4e-6"/>
         <inertial pos="-0.1 0 0" mass="0.05" diaginertia="1e-5 1e-5 1e-5"/>
         <geom type="sphere" size="0.01" pos="-0.2 0 0"/>
       </body>
@@ -200,7 +202,7 @@ RAW = """
 
 
 def test_it_moves_as_a_model_of_mujoco_that_was_written_by_hand() -> None:
-    """Dampers alone in its joints, of which MuJoCo's Euler takes the same step; a tilted box and a pole, both in the world."""
+    """Dampers alone in its joints, held through a step beside an armature C dt; a tilted box and a pole, both in the world."""
     model = mujoco.MjModel.from_xml_string(RAW)
     model.geom_solref[:], model.geom_solimp[:] = solver_numbers(CFG, 0.002)
     model.body_invweight0[2:, 0] = model.body_invweight0[1, 0] = 1.0 / MASS
