@@ -9,10 +9,7 @@ from aerial_gym.sim2real import close_loop
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "neural_fly"
 
-pytestmark = [
-    pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured flights are not on this machine: {DATA}"),
-    pytest.mark.usefixtures("no_pixels"),
-]
+pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured flights are not on this machine: {DATA}")
 
 
 @pytest.mark.slow

@@ -65,7 +65,6 @@ def found(folder: Path, **hidden: float) -> dict:
         pytest.param({"scale": 1.1}, "thrust_coefficient", {"scale": 1.1}, marks=pytest.mark.slow),
     ],
 )
-@pytest.mark.usefixtures("no_pixels")
 @pytest.mark.slow
 def test_the_hidden_effect_is_named(
     hidden: dict[str, float], name: str, params: dict[str, float], tmp_path: Path
