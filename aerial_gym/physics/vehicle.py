@@ -5,7 +5,7 @@ once instead of per environment.
 Frames: body is x forward, y left, z up. Letters: E environments, R rotors.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import nan
 
@@ -34,6 +34,10 @@ def is_same_row(new: Tensor, kept: Tensor) -> bool:
 def own_rows(rows: Tensor) -> Tensor:
     """Return a copy (E, ...) with memory for every row, which is not shared even where E is 1."""
     return torch.empty(rows.shape, dtype=rows.dtype, device=rows.device).copy_(rows)
+
+
+_OF_BODY = {"mass", "inertia", "com", "battery"}
+"""Tensors of a vehicle that have no row for each rotor."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,6 +140,15 @@ class Vehicle:
         return self.map_rows(
             lambda rows: share_row(rows[0].to(dtype), rows.shape[0]) if is_shared(rows) else rows.to(dtype, copy=True)
         )
+
+    def of_rotors(self, rotors: Sequence[int]) -> "Vehicle":
+        """Return the vehicle with some of its rotors alone, by their numbers from 0; what is shared stays so."""
+        numbers = list(rotors)
+
+        def some(rows: Tensor) -> Tensor:
+            return share_row(rows[0][numbers], rows.shape[0]) if is_shared(rows) else rows[:, numbers]
+
+        return replace(self, **{name: some(rows) for name, rows in self.rows().items() if name not in _OF_BODY})
 
     def with_scaled_maps(self, *, thrust: Tensor | None = None, torque: Tensor | None = None) -> "Vehicle":
         """Return the vehicle with factors (E, R) or (E, 1) on thrust and on drag torque, in both directions of turning."""

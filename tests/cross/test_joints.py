@@ -83,6 +83,17 @@ def odd_tree() -> RobotCfg:
     return replace(robot, body=body, mounts=mounts, joints=JointsCfg(layout=layout, source="test"))
 
 
+def blown_tree(radius: float = 0.4) -> RobotCfg:
+    """That robot with propellers that feel ground and ceiling from afar, one on a link, two on another, one of them tilted."""
+    robot = odd_tree()
+    first, second, third, fourth = robot.mounts.layout
+    third = replace(third, link="left", axis=(0.1, -0.2, 1.0))
+    mounts = replace(robot.mounts, layout=(first, replace(second, link="left"), third, fourth))
+    rotor = ROBOTS.get("tinyprop").rotor
+    assert rotor is not None
+    return replace(robot, mounts=mounts, rotor=replace(rotor, radius=radius))
+
+
 def heavier(vehicle: Vehicle) -> Vehicle:
     """Environments that differ, as after a reset that draws."""
     scale = 1.0 + 0.2 * torch.linspace(0.0, 1.0, NUM_ENVS, dtype=vehicle.mass.dtype)
@@ -108,7 +119,7 @@ def fly(
     articulation = articulation_of(robot, like=vehicle.mass)
     rows = []
     for name in effects:
-        effect = EFFECTS.get(name)
+        effect = EFFECTS.get(name).of(robot)
         row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
         rows.append((effect, torch.tensor(row, dtype=dtype).expand(copies * NUM_ENVS, -1).clone()))
     model = build_model(adjust(vehicle), rows, ceiling_height=CEILING, articulation=articulation)
@@ -144,6 +155,13 @@ def fly(
     return tuple(tensor.double() for tensor in state.tensors())
 
 
+MADE_HERE = {"odd": odd_tree, "blown": blown_tree, "blown by little": lambda: blown_tree(0.0381)}
+
+AT_HUBS = tuple(
+    name for name in EFFECTS if EFFECTS.get(name).at_hubs and EFFECTS.get(name).on_joints and name != "blade_element"
+)
+"""Effects that act on the links that rotors sit on, but that whose forces grow with the fourth power of the radius."""
+
 CASES = {
     "morphy": ("morphy", "no_control", (), None),
     "morphy on a stand": ("morphy_fixed_base", "no_control", (), None),
@@ -153,6 +171,8 @@ CASES = {
     "snake of six, effort": ("snakey6_effort", "no_control", (), None),
     "everything": ("odd", "no_control", ("quadratic_drag", "constant_wind", "axial_inflow"), heavier),
     "everything, late": ("odd", "lee_velocity_control", ("actuation_delay", "gusts", "rotor_drag"), None),
+    "effects at hubs": ("blown", "no_control", (*AT_HUBS, "wind_shear", "link_drag", "rotor_drag"), heavier),
+    "blades": ("blown by little", "no_control", ("blade_element", "constant_wind"), None),
     "law with memory": ("odd", "pid_rates_control", ("weak_motor", "com_offset"), None),
 }
 
@@ -161,7 +181,7 @@ AS_USERS_HAVE_IT = "everything, late"
 """The one whose kernel is optimised."""
 
 
-OFTEN = ("everything, late", "morphy")
+OFTEN = ("everything, late", "effects at hubs", "morphy")
 """The parts of the other cases are theirs, but for some effects."""
 
 
@@ -170,7 +190,7 @@ def test_the_fused_step_is_that_of_the_reference(case: str, request: pytest.Fixt
     if case == AS_USERS_HAVE_IT:
         request.getfixturevalue("optimised")
     name, controller, effects, adjust = CASES[case]
-    robot = odd_tree() if name == "odd" else ROBOTS.get(name)
+    robot = MADE_HERE[name]() if name in MADE_HERE else ROBOTS.get(name)
     same = adjust or (lambda vehicle: vehicle)
     exact = fly(TorchBackend(), robot, controller, torch.float64, effects, same)
     singles = fly(TorchBackend(), robot, controller, torch.float32, effects, same, nudges=NUDGES)

@@ -1,4 +1,4 @@
-"""Forces at hubs do not depend on where the centre of mass is: what ``WrenchEffect.at_hubs`` promises, effect by effect."""
+"""Forces at hubs do not depend on where the centre of mass is: what ``Effect.at_hubs`` promises, effect by effect."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from tests.physics.vehicles import CEILING, F64, lopsided_robot, random_state
 
 ROWS = 6
 KINDS = {name: EFFECTS.get(name) for name in EFFECTS if EFFECTS.get(name).kind in (RotorEffect, WrenchEffect)}
-AT_HUBS = [name for name, one in KINDS.items() if isinstance(one, RotorEffect) or one.at_hubs]  # type: ignore[attr-defined]
+AT_HUBS = [name for name, one in KINDS.items() if one.at_hubs]
 OF_CENTRE = ["rotor_drag", "quadratic_drag", "downwash"]
 
 
@@ -55,7 +55,7 @@ def test_forces_at_hubs_are_the_same_for_every_centre_of_mass(name: str) -> None
 def test_forces_at_the_centre_of_mass_are_not(name: str) -> None:
     """Else these effects could say the same of themselves, and the test above would see nothing."""
     effect = EFFECTS.get(name)
-    assert not effect.at_hubs  # type: ignore[attr-defined]
+    assert not effect.at_hubs
     of_centre, of_origin = both_conditions()
     found, there = asked(effect, of_centre), asked(effect, of_origin)
     assert float((found - there).abs().max()) > 1e-3 * float(found.abs().max())

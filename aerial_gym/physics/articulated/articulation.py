@@ -94,6 +94,10 @@ class Articulation:
         """Number C of joints with a drive."""
         return len(self.driven)
 
+    def rotors_of(self, link: int) -> tuple[int, ...]:
+        """Return the numbers of the rotors that sit on a link."""
+        return tuple(rotor for rotor, place in enumerate(self.rotor_links) if place == link)
+
     @property
     def looks_ahead(self) -> bool:
         """Whether a step is tried before it is taken: drives may come to their limits in it, or dry friction may hold."""

@@ -1,7 +1,9 @@
 """A vehicle that bends, in the air: what its rotors and effects do to its links, and one step of it.
 
-Each rotor pushes the link that it sits on. Effects on the whole act on the base, at the centre of mass and with the geometry of
-the reference pose; effects on links (``LinkEffect``) on each link where it is, by its own motion.
+Each rotor pushes the link that it sits on, and what effects at hubs make of it (``Effect.at_hubs``) acts there, by place and
+motion of that link. Effects on the whole act on the base, at the centre of mass and with the geometry of the reference pose;
+effects on links (``LinkEffect``) on each link where it is, by its own motion. Wind is that at the vehicle's centre of mass in
+the reference pose, for all of them.
 Letters: E environments, R rotors, D joints, L links, C joints with a drive.
 """
 
@@ -12,19 +14,21 @@ import torch
 from torch import Tensor
 
 from aerial_gym.errors import CapabilityError
-from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
+from aerial_gym.math.quaternion import quat_multiply, quat_rotate, quat_rotate_inverse
 from aerial_gym.physics.articulated.articulation import Articulation
 from aerial_gym.physics.articulated.link_damping import LinkDamping, motion_in_air
+from aerial_gym.physics.articulated.motion import move_links, place_links, turn_links
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Links, TreeState
 from aerial_gym.physics.backend import Capabilities
-from aerial_gym.physics.effects import LinkEffect, RotorEffect, WrenchEffect
+from aerial_gym.physics.effects import LinkEffect, WrenchEffect
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rigid_body import acting_in, air_velocity, condition_in
 from aerial_gym.physics.rotor_lag import RotorCommand, follow_command
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque
 from aerial_gym.physics.state import BodyState, JointedState
+from aerial_gym.physics.vehicle import is_shared, share_row
 
 
 def jointed_step(
@@ -54,13 +58,6 @@ def jointed_step(
         state = replace(state, lin_vel=torch.zeros_like(state.lin_vel), ang_vel=torch.zeros_like(state.ang_vel))
     rotor_speed = follow_command(model.vehicle, state.rotor_speed, rotor_command, dt)
     rotor_acc = (rotor_speed - state.rotor_speed) / dt
-    body = BodyState(
-        position=state.position,
-        attitude=state.attitude,
-        lin_vel=state.lin_vel,
-        ang_vel=state.ang_vel,
-        rotor_speed=rotor_speed,
-    )
     before = TreeState(
         position=state.position,
         attitude=state.attitude,
@@ -79,44 +76,113 @@ def jointed_step(
         gravity=model.gravity,
         drive=articulation.drive(joint_command),
         friction=articulation.resistance,
-        wrench=link_wrenches(model, articulation, body, rotor_acc),
+        wrench=link_wrenches(model, articulation, before, rotor_speed, rotor_acc),
         damping=link_damping(model, articulation, links, before),
     )
     return JointedState(**vars(after), rotor_speed=rotor_speed)
 
 
-def link_wrenches(model: Model, articulation: Articulation, body: BodyState, rotor_acc: Tensor) -> Tensor:
+def link_wrenches(
+    model: Model, articulation: Articulation, state: TreeState, rotor_speed: Tensor, rotor_acc: Tensor
+) -> Tensor:
     """Return force [N] on each link at its origin and torque [N m], axes of the link, (E, L, 6).
 
     Args:
         model: Vehicle and effects.
         articulation: Its own.
-        body: Motion of the base, and states of the rotors.
-        rotor_acc: Angular accelerations of the rotors [rad/s²], (E, R).
+        state: Motion of base and joints.
+        rotor_speed: States of the rotors, (E, R).
+        rotor_acc: Their angular accelerations [rad/s²], (E, R).
     """
     vehicle = model.vehicle
-    thrust, others = rotor_thrust(vehicle, body.rotor_speed), []
-    if model.effects[RotorEffect] or model.effects[WrenchEffect]:
-        acting = acting_in(model, condition_in(model, body, rotor_acc))
-        thrust, others = acting.whole_thrust, acting.wrenches
+    thrust, more = rotor_thrust(vehicle, rotor_speed), None
+    at_hubs = model.effects.where(lambda effect: effect.at_hubs)
+    if any(at_hubs):
+        blown = replace(model, effects=at_hubs)
+        thrust, more = _at_hubs(blown, articulation, state, _wind(model, state), rotor_speed, rotor_acc)
     force = thrust.unsqueeze(-1) * vehicle.rotor_axis
-    drag = (vehicle.rotor_spin * rotor_torque(vehicle, body.rotor_speed)).unsqueeze(-1) * vehicle.rotor_axis
+    drag = (vehicle.rotor_spin * rotor_torque(vehicle, rotor_speed)).unsqueeze(-1) * vehicle.rotor_axis
     hub = vehicle.rotor_position - articulation.origins[list(articulation.rotor_links)]
     each = torch.cat((force, torch.linalg.cross(hub.expand_as(force), force) - drag), dim=-1)
-    on_links = each.new_zeros(len(each), articulation.tree.num_links, 6)
+    on_links = each.new_zeros(len(each), articulation.tree.num_links, 6) if more is None else more
     on_links = on_links.index_add(1, torch.tensor(articulation.rotor_links, device=each.device), each)
-    for _, wrench in others:
-        push, twist = wrench[:, :3], wrench[:, 3:] + torch.linalg.cross(vehicle.com, wrench[:, :3])
-        whole = torch.cat((push, twist), dim=-1).unsqueeze(1)
-        on_links = on_links + torch.nn.functional.pad(whole, (0, 0, 0, articulation.num_joints))
+    whole = replace(model, effects=model.effects.where(lambda effect: not effect.at_hubs))
+    if whole.effects[WrenchEffect]:
+        body = _body(state, rotor_speed)
+        for _, wrench in acting_in(whole, condition_in(whole, body, rotor_acc)).wrenches:
+            push, twist = wrench[:, :3], wrench[:, 3:] + torch.linalg.cross(vehicle.com, wrench[:, :3])
+            on_base = torch.cat((push, twist), dim=-1).unsqueeze(1)
+            on_links = on_links + torch.nn.functional.pad(on_base, (0, 0, 0, articulation.num_joints))
     return on_links
+
+
+def _at_hubs(
+    model: Model, articulation: Articulation, state: TreeState, wind: Tensor, rotor_speed: Tensor, rotor_acc: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return all thrusts [N], (E, R), and what else effects at hubs do to each link as ``link_wrenches``, (E, L, 6).
+
+    A link with its rotors is to them a vehicle of its own, whose centre of mass counts as at the origin of the link.
+
+    Args:
+        model: With effects at hubs alone.
+        articulation: As others, for ``link_wrenches``.
+        state: Likewise.
+        wind: Velocity of the air [m/s], world, (E, 3).
+        rotor_speed: Likewise.
+        rotor_acc: Likewise.
+    """
+    tree, turn = articulation.tree, state.attitude
+    places = place_links(tree, articulation.links(model.vehicle), state.joint_pos)
+    motion = move_links(tree, places, quat_rotate_inverse(turn, state.lin_vel - wind), state.ang_vel, state.joint_vel)
+    attitudes = turn_links(tree, state.joint_pos)
+    thrust, on_links = [turn.new_zeros(len(turn))] * len(articulation.rotor_links), []
+    for link in range(tree.num_links):
+        rotors = list(articulation.rotors_of(link))
+        if not rotors:
+            on_links.append(turn.new_zeros(len(turn), 6))
+            continue
+        some = model.vehicle.of_rotors(rotors)
+        origin, hubs = articulation.origins[link], some.rotor_position
+        hubs = share_row(hubs[0] - origin, len(turn)) if is_shared(hubs) else hubs - origin
+        vehicle = replace(some, com=share_row(torch.zeros_like(origin), len(turn)), rotor_position=hubs)
+        there = BodyState(
+            position=state.position + quat_rotate(turn, places.origin[:, link]),
+            attitude=quat_multiply(turn, attitudes[:, link]),
+            lin_vel=quat_rotate(turn, motion.lin_vel[:, link]),
+            ang_vel=(places.rotation[:, link].mT @ motion.ang_vel[:, link].unsqueeze(-1)).squeeze(-1),
+            rotor_speed=rotor_speed[:, rotors],
+        )
+        own = replace(model, vehicle=vehicle)
+        acting = acting_in(own, condition_in(own, there, rotor_acc[:, rotors]))
+        for rotor, column in zip(rotors, acting.whole_thrust.unbind(1), strict=True):
+            thrust[rotor] = column
+        on_links.append(sum((wrench for _, wrench in acting.wrenches), turn.new_zeros(len(turn), 6)))
+    return torch.stack(thrust, dim=1), torch.stack(on_links, dim=1)
+
+
+def _body(state: TreeState, rotor_speed: Tensor) -> BodyState:
+    """Return the motion of the base as that of a rigid vehicle."""
+    return BodyState(
+        position=state.position,
+        attitude=state.attitude,
+        lin_vel=state.lin_vel,
+        ang_vel=state.ang_vel,
+        rotor_speed=rotor_speed,
+    )
+
+
+def _wind(model: Model, state: TreeState) -> Tensor:
+    """Return the velocity of the air at the vehicle's centre of mass in the reference pose [m/s], world, (E, 3)."""
+    turn, com = state.attitude, model.vehicle.com
+    still = torch.zeros_like(state.lin_vel)
+    return -quat_rotate(turn, air_velocity(model, state.position + quat_rotate(turn, com), turn, still))
 
 
 def link_damping(model: Model, articulation: Articulation, links: Links, state: TreeState) -> LinkDamping | None:
     """Return what damps the links at the start of a step; None where nothing does.
 
     Args:
-        model: Vehicle and effects. Their wind is that at the vehicle's centre of mass in the reference pose, for all links.
+        model: Vehicle and effects.
         articulation: Its own.
         links: What they weigh.
         state: Their motion.
@@ -124,8 +190,7 @@ def link_damping(model: Model, articulation: Articulation, links: Links, state: 
     if not model.effects[LinkEffect]:
         return None
     ((effect, params),) = model.effects[LinkEffect]
-    turn, com = state.attitude, model.vehicle.com
-    wind = -air_velocity(model, state.position + quat_rotate(turn, com), turn, torch.zeros_like(state.lin_vel))
+    turn = state.attitude
     velocity, turned_wind = motion_in_air(
         articulation.tree,
         links,
@@ -133,7 +198,7 @@ def link_damping(model: Model, articulation: Articulation, links: Links, state: 
         state.joint_vel,
         quat_rotate_inverse(turn, state.lin_vel),
         state.ang_vel,
-        wind,
+        quat_rotate_inverse(turn, _wind(model, state)),
     )
     damping = torch.where(links.mass.unsqueeze(-1) > 0.0, effect.damping(velocity, params), 0.0)
     return LinkDamping(velocity=velocity, damping=damping, turned_wind=turned_wind)

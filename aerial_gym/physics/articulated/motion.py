@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from aerial_gym.math.quaternion import quat_exp, quat_to_matrix
+from aerial_gym.math.quaternion import quat_exp, quat_multiply, quat_to_matrix
 from aerial_gym.physics.articulated.tree import Links, Tree
 
 cross = torch.linalg.cross
@@ -66,6 +66,18 @@ def place_links(tree: Tree, links: Links, joint_pos: Tensor) -> Places:
         com=origin + (rotation @ links.com.unsqueeze(-1)).squeeze(-1),
         inertia=rotation @ links.inertia @ rotation.transpose(-1, -2),
     )
+
+
+def turn_links(tree: Tree, joint_pos: Tensor) -> Tensor:
+    """Return the axes of each link to those of the base as quaternions, xyzw, (E, L, 4), for joint coordinates (E, D)."""
+    attitudes = [joint_pos.new_tensor((0.0, 0.0, 0.0, 1.0)).expand(joint_pos.shape[0], 4)]
+    for k, joint in enumerate(tree.joints):
+        parent = attitudes[joint.parent]
+        mounted = quat_multiply(parent, joint_pos.new_tensor(joint.attitude).expand_as(parent))
+        bends = joint.kind == "revolute"
+        turn = quat_exp(joint_pos[:, k : k + 1] * joint_pos.new_tensor(joint.axis)) if bends else None
+        attitudes.append(mounted if turn is None else quat_multiply(mounted, turn))
+    return torch.stack(attitudes, dim=1)
 
 
 def _turned(rotation: Tensor, vector: Tensor) -> Tensor:

@@ -276,8 +276,11 @@ class Effect(ABC):
     """What a log must hold in place of its memory."""
     rotors: ClassVar[tuple[RotorTrait, ...]] = ("slew", "dead_band")
     """What rotors may have beyond a plain speed under it; with others it is refused by name."""
+    at_hubs: ClassVar[bool] = False
+    """Whether hubs and rotors alone make it: where the centre of mass is changes its torque by the lever of its force, and
+    nothing else; and on a vehicle that bends it acts on the links that rotors sit on, by the motion of these."""
     on_joints: ClassVar[bool] = True
-    """Whether a vehicle that bends can have it: at its base, with the geometry of its reference pose."""
+    """Whether a vehicle that bends can have it: unless it is at hubs, at its base, with the geometry of its reference pose."""
     on_rigid: ClassVar[bool] = True
     """Whether a vehicle without joints can have it, and so whatever takes a vehicle as rigid in its reference pose."""
     medium: ClassVar[Literal["air", "water"]] = "air"
@@ -435,6 +438,7 @@ class RotorEffect(Effect):
 
     acts_on = "rotor"
     twin = "warp_thrust"
+    at_hubs = True
 
     @abstractmethod
     def thrust(self, condition: Condition, params: Tensor) -> Tensor:
@@ -459,9 +463,6 @@ class WrenchEffect(Effect):
 
     acts_on = "wrench"
     twin = "warp_wrench"
-    at_hubs: ClassVar[bool] = False
-    """Whether hubs and rotors alone make it: where the centre of mass is changes its torque by the lever of its force, and
-    nothing else."""
 
     @abstractmethod
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:

@@ -96,6 +96,10 @@ class EffectsByKind:
         """Return these but the ones of some kinds."""
         return EffectsByKind(one for one in self._all if one[0].kind not in kinds)
 
+    def where(self, chosen: Callable[[Effect], bool]) -> "EffectsByKind":
+        """Return those that are chosen."""
+        return EffectsByKind(one for one in self._all if chosen(one[0]))
+
     def with_params(self, change: Callable[[Effect, Tensor], Tensor]) -> "EffectsByKind":
         """Return them with ``change(effect, params)`` in place of each one's parameters."""
         return EffectsByKind((effect, change(effect, params)) for effect, params in self._all)

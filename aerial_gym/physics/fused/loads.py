@@ -3,6 +3,7 @@
 Letters: R rotors, P parameters of the effects.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import warp as wp
@@ -102,25 +103,31 @@ def make_wind(model: Model) -> wp.Function:
     return _sum_of(winds, wp.vec3, values_type(model), wp.vec3)
 
 
-def make_loads(model: Model, *, upright: bool) -> wp.Function:
+def make_loads(
+    model: Model, *, upright: bool, num_rotors: int | None = None, acts: Callable[[Effect], bool] | None = None
+) -> wp.Function:
     """Return a function to thrusts [N] and drag torques [N m] of the rotors, force and torque of the effects on the whole about
-    the centre of mass, body, and the condition that they saw: ``rigid_body.loads_in`` for one environment.
+    the centre of mass, body, and the condition that they saw: ``rigid_body.acting_in`` for one environment.
 
-    ``upright`` says that all rotors thrust along body z: what is zero then is not worked out, and has no gradient.
+    Args:
+        model: Effects, whose numbers the function is given all.
+        upright: Whether all rotors thrust along body z: what is zero then is not worked out, and has no gradient.
+        num_rotors: How many rotors the vehicle has that the function is given; those of the model unless given.
+        acts: Which effects act, those on the wind among them; all unless given.
     """
-    num_rotors, general = model.vehicle.num_rotors, not model.vehicle.plain
+    num_rotors, general = model.vehicle.num_rotors if num_rotors is None else num_rotors, not model.vehicle.plain
     types = rotor_types(num_rotors, general)
     thrust_of, torque_of = make_maps(types.vehicle)
     params_type, picks = values_type(model), pickers(model)
 
-    def with_picks(kind: type[Effect], twins: list[wp.Function]) -> list[tuple[wp.Function, wp.Function]]:
-        return [(twin, pick.get) for twin, pick in zip(twins, picks[kind], strict=True)]
+    def chosen(kind: type[Effect]) -> list[tuple[Any, wp.Function]]:
+        each = zip(model.effects[kind], picks[kind], strict=True)
+        return [(effect, pick.get) for (effect, _), pick in each if acts is None or acts(effect)]
 
-    effects = model.effects
-    rotors = with_picks(RotorEffect, [effect.warp_thrust(types.condition, Hub) for effect, _ in effects[RotorEffect]])
-    wrenches = with_picks(WrenchEffect, [effect.warp_wrench(types.condition) for effect, _ in effects[WrenchEffect]])
-    any_rotor, any_wrench, any_fluid = bool(rotors), bool(wrenches), bool(effects[FluidEffect])
-    wind = make_wind(model)
+    rotors = [(effect.warp_thrust(types.condition, Hub), get) for effect, get in chosen(RotorEffect)]
+    wrenches = [(effect.warp_wrench(types.condition), get) for effect, get in chosen(WrenchEffect)]
+    any_rotor, any_wrench, any_fluid = bool(rotors), bool(wrenches), bool(chosen(FluidEffect))
+    wind = _sum_of([(effect.warp_wind(), get) for effect, get in chosen(WindEffect)], wp.vec3, params_type, wp.vec3)
     gain = _sum_of_rotors(rotors, types.condition, params_type)
     wrench = _sum_of(wrenches, types.condition, params_type, wp.spatial_vector)
     vehicle_type, vector, condition_type = types.vehicle, types.vector, types.condition

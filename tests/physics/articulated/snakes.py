@@ -15,7 +15,6 @@ from aerial_gym.physics.articulated.dynamics import equations
 from aerial_gym.physics.articulated.flight import link_wrenches
 from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.model import Model, build_model
-from aerial_gym.physics.state import state_at_rest
 from aerial_gym.physics.vehicle import vehicle_from_config
 
 F64 = torch.float64
@@ -63,16 +62,15 @@ class Hover:
             spin: Angular velocity of the whole about z [rad/s].
             floating: Whether the base follows; else it stands.
         """
-        num_rotors = self.model.vehicle.num_rotors
-        body = replace(state_at_rest(1, num_rotors, device=torch.device("cpu"), dtype=F64), rotor_speed=thrust[None])
         still = TreeState.at_rest(1, self.articulation.num_joints, like=thrust)
         turning = still.ang_vel + thrust.new_tensor((0.0, 0.0, spin))
+        state, at_rest = replace(still, joint_pos=joint_pos[None], ang_vel=turning), torch.zeros_like(thrust)[None]
         found = equations(
             self.articulation.tree,
             self.articulation.links(self.model.vehicle),
-            replace(still, joint_pos=joint_pos[None], ang_vel=turning),
+            state,
             gravity=G,
-            wrench=link_wrenches(self.model, self.articulation, body, torch.zeros_like(thrust)[None]),
+            wrench=link_wrenches(self.model, self.articulation, state, thrust[None], at_rest),
         )
         mass, force = found.mass[0], found.force[0]
         if not floating:

@@ -11,20 +11,22 @@ from aerial_gym.physics.fused.types import vector_of
 
 
 @cache
-@cache
-def held_of(num_joints: int, params_type: Any) -> Any:
+def held_of(num_joints: int, params_type: Any, rotor_vector: Any) -> Any:
     """Return the ``wp.struct`` of what is held through a step: sides on which drives are at their limits, those to which dry
     friction pushes joints that move, and what springs behind dashpots would give at zero, ``sum k_i z_i`` [N m]. Where the air
-    damps links also parameters of effects, wind [m/s] and the acceleration that weight takes [m/s²], axes of the base.
+    acts on links also parameters of effects, wind [m/s] and the acceleration that weight takes [m/s²], axes of the base, place
+    and attitude of the base, states of the rotors and their accelerations.
 
     Args:
         num_joints: D.
-        params_type: Of the parameters; None where the air damps nothing.
+        params_type: Of the parameters; None where the air does nothing to a link.
+        rotor_vector: A number of each rotor.
     """
     vector = vector_of(num_joints)
     fields = {"at_limit": vector, "slips": vector, "crept": vector}
     if params_type is not None:
-        fields |= {"params": params_type, "wind": wp.vec3, "weight": wp.vec3}
+        fields |= {"params": params_type, "wind": wp.vec3, "weight": wp.vec3, "position": wp.vec3, "attitude": wp.quat}
+        fields |= {"rotor_speed": rotor_vector, "rotor_acc": rotor_vector}
     return wp.struct(type("Held", (), {"__annotations__": fields, "__module__": __name__}))
 
 

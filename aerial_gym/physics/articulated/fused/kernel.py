@@ -12,6 +12,7 @@ import warp as wp
 
 from aerial_gym.physics.articulated.articulation import Articulation
 from aerial_gym.physics.articulated.fused.efforts import make_beyond, make_creep, make_slips
+from aerial_gym.physics.articulated.fused.hubs import blown_links, make_hubs
 from aerial_gym.physics.articulated.fused.inertia import Inertia, com_of, inertia_of, plus
 from aerial_gym.physics.articulated.fused.link_damping import damped_links, make_link_damping
 from aerial_gym.physics.articulated.fused.recursion import joint_types, make_recursion
@@ -93,9 +94,9 @@ def make_jointed_kernel(
     articulation = model.articulation
     assert articulation is not None
     num_rotors, (num_params, num_memory) = model.vehicle.num_rotors, num_values(model)
-    damped = bool(damped_links(model))
+    in_air = bool(damped_links(model) or blown_links(model))
     general, types = not model.vehicle.plain, types_of(model)
-    joints = joint_types(articulation.num_joints, values_type(model) if damped else None)
+    joints = joint_types(articulation.num_joints, values_type(model) if in_air else None, types.vector)
     vector, params_type, joint_vector = types.vector, values_type(model), joints.vector
     action_type = vector_of(law.num_actions + articulation.num_driven)
     drive_type = vector_of(max(articulation.num_driven, 1))
@@ -110,10 +111,11 @@ def make_jointed_kernel(
     stop = make_dead_band(num_rotors) if general else None
     late = bool(model.effects[DelayEffect])
     follow_rotors = make_follow(num_rotors, general, late)
-    loads, any_wrench = make_loads(model, upright=model.vehicle.upright), bool(model.effects[WrenchEffect])
-    air = make_link_damping(model, joints)
-    way_in, way_back = make_recursion(articulation, types, joints, air)
-    base_in_air, wind = air.get(0), make_wind(model) if damped else None
+    loads = make_loads(model, upright=model.vehicle.upright, acts=lambda effect: not effect.at_hubs)
+    any_wrench = any(not effect.at_hubs for effect, _ in model.effects[WrenchEffect])
+    air, hubs = make_link_damping(model, joints), make_hubs(model, joints)
+    way_in, way_back = make_recursion(articulation, types, joints, air, hubs)
+    base_in_air, wind = air.get(0), make_wind(model) if in_air else None
     base, floating = _make_base(articulation, vehicle_type), articulation.tree.floating
     beyond, driven = make_beyond(articulation), bool(articulation.driven)
     slips, rubs, ahead = make_slips(articulation.num_joints), articulation.rubs, articulation.looks_ahead
@@ -168,10 +170,14 @@ def make_jointed_kernel(
         move = rotate_inverse(q, v)
         held = rotate_inverse(q, wp.vec3(0.0, 0.0, gravity))
         given = held_type()
-        if wp.static(damped):
+        if wp.static(in_air):
             given.params = params
             given.wind = rotate_inverse(q, wind(x + com, params))
             given.weight = held
+            given.position = x
+            given.attitude = q
+            given.rotor_speed = n
+            given.rotor_acc = (n - before) / dt
         if wp.static(num_creep > 0):
             given.crept = pull(crept)
         if wp.static(driven):

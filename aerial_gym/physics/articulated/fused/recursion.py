@@ -38,8 +38,8 @@ class JointTypes:
     """``wp.struct`` of what is held through a step."""
 
 
-def joint_types(num_joints: int, params_type: Any) -> JointTypes:
-    """Return the types for a number of joints, with the type of parameters of effects where the air damps links, or None."""
+def joint_types(num_joints: int, params_type: Any, rotor_vector: Any) -> JointTypes:
+    """Return the types for a number of joints, with those of ``efforts.held_of``."""
     vector, rows = vector_of(num_joints), wp.types.matrix(shape=(num_joints, 3), dtype=wp.float32)
     fields = {
         "free": vector,  # acceleration of the joint where its parent has none
@@ -51,23 +51,28 @@ def joint_types(num_joints: int, params_type: Any) -> JointTypes:
         "swing": rows,
     }
     struct = wp.struct(type("WayBack", (), {"__annotations__": fields, "__module__": __name__}))
-    return JointTypes(vector, struct, held_of(num_joints, params_type))
+    return JointTypes(vector, struct, held_of(num_joints, params_type, rotor_vector))
 
 
 def make_recursion(
-    articulation: Articulation, types: RotorTypes, joints: JointTypes, air: Mapping[int, wp.Function]
+    articulation: Articulation,
+    types: RotorTypes,
+    joints: JointTypes,
+    air: Mapping[int, wp.Function],
+    hubs: Mapping[int, wp.Function],
 ) -> tuple[wp.Function, wp.Function]:
     """Return the ways in and back.
 
     The way in: (vehicle, position of joints, their rate, that at which swinging is taken, joint command, what is held
     through the step, thrusts, drag torques, angular velocity of the base at the start of the step and that at which turning is
     taken, its velocity, dt) -> ``Inertia`` of all that the base carries, with what its own rotors do, and what is kept.
-    ``air`` is what the air does to links, as ``link_damping.make_link_damping`` gives it.
+    ``air`` is what the air does to links, as ``link_damping.make_link_damping`` gives it; ``hubs`` what effects do at hubs, as
+    ``hubs.make_hubs`` does.
     The way back: (kept, angular acceleration and acceleration of the base, weight not taken off it) -> accelerations of joints.
     """
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
     command_type, held_type = vector_of(max(articulation.num_driven, 1)), joints.held
-    links = [_make_link(articulation, k, types, joints, air) for k in range(articulation.num_joints)]
+    links = [_make_link(articulation, k, types, joints, air, hubs) for k in range(articulation.num_joints)]
     inward, back = _make_nothing(types, joints, command_type)
     into: dict[int, wp.Function] = {}
     out: dict[int, wp.Function] = {}
@@ -77,7 +82,7 @@ def make_recursion(
         out[k] = _make_back(k, revolute, joints, _children(articulation, k + 1, out, back, False))
     way_in = _children(articulation, 0, into, inward, True)
     way_back = _children(articulation, 0, out, back, False)
-    base_rotors = _make_rotors(articulation, 0, types)
+    base_rotors = _make_rotors(articulation, 0, types, joints, hubs.get(0))
 
     @wp.func
     def all_in(
@@ -87,10 +92,10 @@ def make_recursion(
         kept = back_type()
         rotation = wp.identity(n=3, dtype=float)
         carried, kept = way_in(
-            vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, ang_vel_0, lin_vel, ang_vel, lin_vel, dt,
-            kept,
+            vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, wp.vec3(), ang_vel_0, lin_vel, ang_vel,
+            lin_vel, dt, kept,
         )  # fmt: skip
-        carried = base_rotors(vehicle, thrusts, drags, rotation, carried)
+        carried = base_rotors(vehicle, held, thrusts, drags, rotation, wp.vec3(), ang_vel_0, lin_vel, carried)
         return carried, kept
 
     @wp.func
@@ -119,8 +124,8 @@ def _make_nothing(types: RotorTypes, joints: JointTypes, command_type: Any) -> t
     @wp.func
     def nothing_in(
         vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, command: command_type, held: held_type,
-        thrusts: types.vector, drags: types.vector, rotation: wp.mat33, ang_vel_0: wp.vec3, lin_vel_0: wp.vec3,
-        ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float, kept: back_type,
+        thrusts: types.vector, drags: types.vector, rotation: wp.mat33, place: wp.vec3, ang_vel_0: wp.vec3,
+        lin_vel_0: wp.vec3, ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float, kept: back_type,
     ):  # fmt: skip
         return Inertia(), kept
 
@@ -135,16 +140,16 @@ def _beside_in(rest: wp.Function, one: wp.Function) -> wp.Function:
     @wp.func
     def both_in(
         vehicle: Any, pos: Any, vel: Any, swing_vel: Any, command: Any, held: Any,
-        thrusts: Any, drags: Any, rotation: wp.mat33, ang_vel_0: wp.vec3, lin_vel_0: wp.vec3,
+        thrusts: Any, drags: Any, rotation: wp.mat33, place: wp.vec3, ang_vel_0: wp.vec3, lin_vel_0: wp.vec3,
         ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float, kept: Any,
     ):  # fmt: skip
         first, kept_first = rest(
-            vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, ang_vel_0, lin_vel_0, ang_vel, lin_vel,
-            dt, kept,
+            vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, place, ang_vel_0, lin_vel_0, ang_vel,
+            lin_vel, dt, kept,
         )  # fmt: skip
         second, kept_both = one(
-            vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, ang_vel_0, lin_vel_0, ang_vel, lin_vel,
-            dt, kept_first,
+            vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, place, ang_vel_0, lin_vel_0, ang_vel,
+            lin_vel, dt, kept_first,
         )  # fmt: skip
         return plus(first, second), kept_both
 
@@ -185,7 +190,12 @@ def _make_back(k: int, revolute: bool, joints: JointTypes, carried: wp.Function)
 
 
 def _make_link(
-    articulation: Articulation, k: int, types: RotorTypes, joints: JointTypes, air: Mapping[int, wp.Function]
+    articulation: Articulation,
+    k: int,
+    types: RotorTypes,
+    joints: JointTypes,
+    air: Mapping[int, wp.Function],
+    hubs: Mapping[int, wp.Function],
 ) -> Any:
     """Return what makes the way in through joint k of that through what its link carries."""
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
@@ -196,18 +206,19 @@ def _make_link(
         offset = offset + reference * own_axis
     com = wp.vec3(*(articulation.link_com[k] - articulation.origins[k + 1]).tolist())  # from the origin of the link
     in_air, ahead = air.get(k + 1), articulation.looks_ahead
-    damped, damps = in_air is not None, any(articulation.tree.moves[link][k] for link in air)
+    damped, felt = in_air is not None, any(articulation.tree.moves[link][k] for link in (*air, *hubs))
     mass = float(articulation.link_mass[k])
     inertia = wp.mat33(*articulation.link_inertia[k].flatten().tolist())
     has_mass, has_inertia = mass > 0.0, bool(articulation.link_inertia[k].any())
-    effort, rotors = make_effort(articulation, k, held_type), _make_rotors(articulation, k + 1, types)
+    effort = make_effort(articulation, k, held_type)
+    rotors = _make_rotors(articulation, k + 1, types, joints, hubs.get(k + 1))
 
     def around(carried: wp.Function) -> wp.Function:
         @wp.func
         def link_in(
             vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, command: command_type, held: held_type,
-            thrusts: types.vector, drags: types.vector, rotation: wp.mat33, ang_vel_0: wp.vec3, lin_vel_0: wp.vec3,
-            ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float, kept: back_type,
+            thrusts: types.vector, drags: types.vector, rotation: wp.mat33, place: wp.vec3, ang_vel_0: wp.vec3,
+            lin_vel_0: wp.vec3, ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float, kept: back_type,
         ):  # fmt: skip
             after = kept
             q = pos[k]
@@ -231,23 +242,24 @@ def _make_link(
                 move = move + rate * axis
             turn_0 = turn
             move_0 = move
-            if wp.static(damps and ahead):  # what the air does is of the start of the step
+            if wp.static(felt and ahead):  # what the air does is of the start of the step
                 turn_0 = ang_vel_0
                 move_0 = lin_vel_0 + wp.cross(ang_vel_0, lever)
                 if wp.static(revolute):
                     turn_0 = turn_0 + vel[k] * axis
                 else:
                     move_0 = move_0 + vel[k] * axis
+            origin = place + lever
             whole, after = carried(
-                vehicle, pos, vel, swing_vel, command, held, thrusts, drags, turned, turn_0, move_0, turn, move, dt,
-                after,
+                vehicle, pos, vel, swing_vel, command, held, thrusts, drags, turned, origin, turn_0, move_0, turn, move,
+                dt, after,
             )  # fmt: skip
             if wp.static(has_mass):
                 about = wp.mat33()
                 if wp.static(has_inertia):
                     about = turned * inertia * wp.transpose(turned)
                 whole = plus(whole, inertia_of(wp.static(mass), turned * com, about, turn, move))
-            whole = rotors(vehicle, thrusts, drags, turned, whole)
+            whole = rotors(vehicle, held, thrusts, drags, turned, origin, turn_0, move_0, whole)
             if wp.static(damped):
                 whole = in_air(whole, turned, turned * com, turn_0, move_0, held, dt)
             acts, stiff = effort(q, vel[k], command, held, dt)
@@ -283,10 +295,16 @@ def _make_link(
     return around
 
 
-def _make_rotors(articulation: Articulation, link: int, types: RotorTypes) -> wp.Function:
-    """Return what the rotors of a link do to it: (vehicle, thrusts, drag torques, rotation, inertia) -> inertia."""
-    vector, vehicle_type = types.vector, types.vehicle
-    start = wp.vec3(*articulation.origins[link].tolist())
+def _make_rotors(
+    articulation: Articulation, link: int, types: RotorTypes, joints: JointTypes, hubs: wp.Function | None
+) -> wp.Function:
+    """Return what the rotors of a link do to it.
+
+    (vehicle, what is held through the step, thrusts, drag torques, rotation, place of its origin, its angular velocity and
+    velocity at the start of the step, inertia) -> inertia. ``hubs`` is what effects do there (``hubs.make_hubs``).
+    """
+    vector, vehicle_type, held_type = types.vector, types.vehicle, joints.held
+    start, blown = wp.vec3(*articulation.origins[link].tolist()), hubs is not None
 
     @wp.func
     def none(vehicle: vehicle_type, thrusts: vector, drags: vector, rotation: wp.mat33, of: Inertia) -> Inertia:
@@ -308,7 +326,20 @@ def _make_rotors(articulation: Articulation, link: int, types: RotorTypes) -> wp
         return rotor
 
     total = none
-    for number, place in enumerate(articulation.rotor_links):
-        if place == link:
-            total = with_rotor(total, number)
-    return total
+    for number in articulation.rotors_of(link):
+        total = with_rotor(total, number)
+
+    @wp.func
+    def rotors(
+        vehicle: vehicle_type, held: held_type, thrusts: vector, drags: vector, rotation: wp.mat33, place: wp.vec3,
+        ang_vel: wp.vec3, lin_vel: wp.vec3, of: Inertia,
+    ) -> Inertia:  # fmt: skip
+        whole = of
+        own = thrusts
+        if wp.static(blown):
+            own, more = hubs(vehicle, held, thrusts, rotation, place, ang_vel, lin_vel)
+            whole.torque -= rotation * wp.spatial_bottom(more)
+            whole.force -= rotation * wp.spatial_top(more)
+        return total(vehicle, own, drags, rotation, whole)
+
+    return rotors

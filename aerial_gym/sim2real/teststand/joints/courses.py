@@ -23,7 +23,6 @@ from aerial_gym.physics.articulated.flight import link_damping, link_wrenches
 from aerial_gym.physics.articulated.tree import Links, TreeState
 from aerial_gym.physics.model import Model, robot_effects
 from aerial_gym.physics.rotor_lag import follow_command
-from aerial_gym.physics.state import BodyState
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass, uniform_log
@@ -160,12 +159,12 @@ def _efforts(robot: RobotCfg, state: TreeState, rotors: torch.Tensor, acc: torch
     return ((found.mass @ acc.unsqueeze(-1)).squeeze(-1) - found.force)[:, 6:]
 
 
-def pushed_links(robot: RobotCfg, base: TreeState, rotors: torch.Tensor) -> tuple[Model, Links, torch.Tensor]:
-    """Return a robot that bends, its links in T rows, and what rotors and effects on the whole do to each, (T, L, 6).
+def pushed_links(robot: RobotCfg, state: TreeState, rotors: torch.Tensor) -> tuple[Model, Links, torch.Tensor]:
+    """Return a robot that bends, its links in T rows, and what rotors and effects but drag of links do to each, (T, L, 6).
 
     Args:
         robot: As declared.
-        base: Motion of the base.
+        state: Motion of base and joints.
         rotors: States of the rotors, (T, R).
     """
     num_rows = len(rotors)
@@ -174,14 +173,8 @@ def pushed_links(robot: RobotCfg, base: TreeState, rotors: torch.Tensor) -> tupl
     articulation = articulation_of(robot, like=vehicle.mass)
     assert articulation is not None
     model = build_model(vehicle, effects, gravity=STANDARD_GRAVITY, ceiling_height=1e3, articulation=articulation)
-    body = BodyState(
-        position=base.position,
-        attitude=base.attitude,
-        lin_vel=base.lin_vel,
-        ang_vel=base.ang_vel,
-        rotor_speed=rotors,
-    )
-    return model, articulation.links(model.vehicle), link_wrenches(model, articulation, body, torch.zeros_like(rotors))
+    wrench = link_wrenches(model, articulation, state, rotors, torch.zeros_like(rotors))
+    return model, articulation.links(model.vehicle), wrench
 
 
 def rotor_states(robot: RobotCfg, log: FlightLog) -> Array:

@@ -59,7 +59,7 @@ class Ride:
     """Rows per second."""
 
     base: TreeState
-    """Motion of the body; angles of joints are not known, and zeros."""
+    """Motion of the body; joints, whose angles are not known, stand as in the reference pose."""
 
     wrench: Tensor
     """On each link, (T, L, 6)."""
@@ -89,14 +89,15 @@ def ride_of(robot: RobotCfg, log: FlightLog, *, bandwidth: float) -> Ride:
         moved = torch.from_numpy(lowpass(log.lin_vel, rate, rate / 5.0, derivative=True))
         force = quat_rotate_inverse(attitude, moved + torch.tensor((0.0, 0.0, STANDARD_GRAVITY)).double()).numpy()
     turned = lowpass(log.ang_vel, rate, bandwidth, derivative=True)
-    joints = torch.zeros(len(attitude), 0 if robot.joints is None else len(robot.joints.layout), dtype=torch.float64)
+    references = [] if robot.joints is None else [joint.reference for joint in robot.joints.layout]
+    joints = torch.tensor(references, dtype=torch.float64).expand(len(attitude), -1)
     base = TreeState(
         position=rows(log.position),
         attitude=attitude,
         lin_vel=rows(log.lin_vel),
         ang_vel=rows(log.ang_vel),
         joint_pos=joints,
-        joint_vel=joints,
+        joint_vel=torch.zeros_like(joints),
     )
     wrench = pushed_links(robot, base, rows(rotor_states(robot, log)))[2]
     felt = np.concatenate((lowpass(force, rate, bandwidth), turned), axis=1)
