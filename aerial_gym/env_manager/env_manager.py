@@ -114,7 +114,7 @@ class EnvManager:
             randomize=random,
         )
         scene = self.asset_manager.scene
-        trajectory = recorded(env, robot, num_envs=num_envs, device=device, gradients=differentiable)
+        trajectory = recorded(env, robot, num_envs=num_envs, device=device)
         around = Surroundings(
             bounds=bounds,
             crashes=self.gtd["crashes"],

@@ -13,24 +13,14 @@ from aerial_gym.assets.between_links import BetweenLinks
 from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.shape import BASE
-from aerial_gym.errors import CapabilityError
 from aerial_gym.physics import Trajectory
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.robots.joints.links import LinkPlaces, LinkTensors
 
 
-def recorded(
-    env: EnvironmentCfg, robot: RobotCfg, *, num_envs: int, device: torch.device, gradients: bool
-) -> Trajectory | None:
-    """Return the record of a step that the test needs; None where there is nothing to follow, or contact pushes back.
-
-    Raises:
-        CapabilityError: If links should collide with each other under gradients.
-    """
-    between = robot.collision.between_links
-    if between and gradients:
-        raise CapabilityError("collision: between_links: not with gradients")
-    links = between or (robot.collides_with_links and bool(env.num_assets or env.ground))
+def recorded(env: EnvironmentCfg, robot: RobotCfg, *, num_envs: int, device: torch.device) -> Trajectory | None:
+    """Return the record of a step that the test needs; None where there is nothing to follow, or contact pushes back."""
+    links = robot.collision.between_links or (robot.collides_with_links and bool(env.num_assets or env.ground))
     if env.contact is not None or not (env.num_assets or links):
         return None
     joints = len(robot.link_names) - 1 if links else 0

@@ -188,7 +188,7 @@ class TorchBackend:
         self._hook = hook
         self._share = POSITION_SHARE[integrator]
         self._memory, self.law_memory, self._random, self._crept = None, None, random, None
-        self._places: tuple[dict[str, Tensor], dict[str, Tensor]] = ({}, {})
+        self._places: tuple[dict[str, Tensor], ...] = ({}, {}, {})
         self.set_model(model)
 
     def make_stepper(self, integrator: str) -> Stepper:
@@ -367,7 +367,7 @@ class TorchBackend:
         return before, after
 
     def detach(self) -> None:
-        """Let gradients through what effects and law remember end at this instant."""
+        """Let gradients through what effects, law and dashpots remember end at this instant."""
         if self._memory is not None:
             self._memory = _cut(self._memory)
         if self.law_memory is not None:
@@ -382,17 +382,24 @@ class TorchBackend:
             self._memory = replace(self._memory, **in_places(self._places[0], self._memory.tensors()))
         if self.law_memory is not None:
             self.law_memory = replace(self.law_memory, **in_places(self._places[1], self.law_memory.tensors()))
+        if self._crept is not None:
+            self._crept = in_places(self._places[2], {"crept": self._crept})["crept"]
 
     def forget(self, mask: Tensor) -> None:
-        """Let effects and law forget the environments in ``mask``; gradients of others go on, and the mask stays as it is."""
+        """Let effects, law and dashpots forget the environments in ``mask``; gradients of others go on.
+
+        What is forgotten keeps the mask, which must stay as it is.
+        """
         if self._memory is not None:
             self._memory = forget(self._memory, mask)
         if self.law_memory is not None:
             self.law_memory = forget_law(self.law_memory, mask)
+        if self._crept is not None:
+            self._crept = torch.where(mask[:, None, None], nan, self._crept)
 
     @torch.no_grad()
     def reset(self, mask: Tensor) -> None:
-        """Let effects and law forget the environments in ``mask``; gradients through memory end here for all environments."""
+        """Let effects, law and dashpots forget the environments in ``mask``; gradients through memory end here for all."""
         self.detach()
         if self._memory is not None:
             self._memory = _kept(self._memory, forget(self._memory, mask))

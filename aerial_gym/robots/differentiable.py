@@ -1,4 +1,4 @@
-"""The motion of the robots as tensors of a graph, through which gradients flow from step to step.
+"""The motion of the robots, and of their joints, as tensors of a graph, through which gradients flow from step to step.
 
 The Global Tensor Dictionary holds copies of it in float32, for sensors, rewards and whoever else reads it; gradients flow
 through the motion here, which is never overwritten. Letters: E environments, U entries of an action.
@@ -16,7 +16,7 @@ from aerial_gym.math.random import Randomness
 from aerial_gym.physics.backend import Capabilities, ControlLaw, PhysicsBackend
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.state import BodyState
+from aerial_gym.physics.state import BodyState, JointedState
 from aerial_gym.physics.substep_hook import SubstepHook, check_substeps
 from aerial_gym.physics.torch_backend import TorchBackend, in_places
 from aerial_gym.physics.torch_rows import SubstepRows
@@ -145,8 +145,8 @@ class DifferentiableBackend:
         def begun(new: Tensor, old: Tensor) -> Tensor:
             return torch.where(rows, new.to(self._dtype), old)
 
-        pairs = zip(vars(self._shown).items(), self.state.tensors(), strict=True)
-        self.state = BodyState(**{name: begun(new, old) for (name, new), old in pairs})
+        old = vars(self.state)
+        self.state = replace(self.state, **{name: begun(new, old[name]) for name, new in vars(self._shown).items()})
         (last, before), (new, new_before) = self.actions, self._shown_actions
         self.actions = (begun(new, last), begun(new_before, before))
 
@@ -162,7 +162,7 @@ class DifferentiableBackend:
         own = vars(self.state) | dict(zip(("action", "previous_action"), self.actions, strict=True))
         settled = in_places(self._places, own)
         self.actions = (settled.pop("action"), settled.pop("previous_action"))
-        self.state, self._traced = BodyState(**settled), None
+        self.state, self._traced = replace(self.state, **settled), None
         self._inner.settle()
 
 
@@ -187,6 +187,11 @@ FOLLOWING: dict[str, Callable[["TracedKeys"], Tensor]] = {
 }
 """What follows from the motion, by the keys of the Global Tensor Dictionary."""
 
+FOLLOWING_JOINTS: dict[str, Callable[["TracedKeys"], Tensor]] = {
+    "dof_state_tensor": lambda now: torch.stack((now["dof_position"], now["dof_velocity"]), dim=-1),
+}
+"""What follows from the joints, where there are any."""
+
 
 class TracedKeys(Mapping[str, Tensor]):
     """Motion, actions and what follows from them at one instant, by the keys of the GTD; the latter computed when asked for."""
@@ -203,11 +208,15 @@ class TracedKeys(Mapping[str, Tensor]):
             "robot_actions": actions[0],
             "robot_prev_actions": actions[1],
         }
-        self._names = (*self._known, *FOLLOWING)
+        self._following = FOLLOWING
+        if isinstance(state, JointedState):
+            self._known |= {"dof_position": state.joint_pos, "dof_velocity": state.joint_vel}
+            self._following = FOLLOWING | FOLLOWING_JOINTS
+        self._names = (*self._known, *self._following)
 
     def __getitem__(self, key: str) -> Tensor:
         if key not in self._known:
-            self._known[key] = FOLLOWING[key](self)
+            self._known[key] = self._following[key](self)
         return self._known[key]
 
     def __contains__(self, key: object) -> bool:

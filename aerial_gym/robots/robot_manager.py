@@ -15,7 +15,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import Controller, make_controller
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.errors import CapabilityError, ShapeError
+from aerial_gym.errors import ShapeError
 from aerial_gym.interop.rows import MaskedRows
 from aerial_gym.math.random import Randomness, take_mask
 from aerial_gym.physics import (
@@ -91,10 +91,6 @@ class RobotManager:
         self._com = torch.zeros(self._num_envs, 3, device=gtd.device)
         self.articulation = articulation_of(robot, like=root_state)
         """How it bends; None for a rigid robot."""
-        if self.articulation is not None and gradients is not None:
-            raise CapabilityError(
-                "a robot with joints: no gradients through the environment. Leave out differentiable=True"
-            )
         pushed = around.contact is not None
         asked = {
             "integrator": sim.integrator,
@@ -370,10 +366,10 @@ class RobotManager:
         (self._update or self._initial)()
         if self._update is not None and self.differentiable is not None:
             self._update.mark_written()
-        self.backend.reset(mask)
-        self._show_load()
         if self._joints is not None:
             self._joints.reset()
+        self.backend.reset(mask)  # which takes up what was drawn
+        self._show_load()
 
     def _show_load(self) -> None:
         load = None if self._load is None else self.backend.load()

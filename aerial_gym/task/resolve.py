@@ -18,7 +18,10 @@ from aerial_gym.task.values import Values
 Observed = list[tuple[BoundTerm, ObservationCfg, int]]
 """Terms of a group with their widths."""
 
-UNTRACED = ("vec_root_tensor", "robot_state_tensor", "robot_clearance", "robot_contact_force")
+UNTRACED = (
+    *("vec_root_tensor", "robot_state_tensor", "robot_clearance", "robot_contact_force"),
+    *("robot_link_state_tensor", "robot_link_body_angvel", "robot_link_clearance"),
+)
 """What follows from the motion in kernels and has no gradient, beside all that sensors measure."""
 
 SENSORS = "SensorManager"

@@ -94,14 +94,18 @@ def with_drive(
     if drive is None and friction is None:
         return step(acts, state)
     if drive is not None:
-        trial = acts + drive.effort_at(pos, vel, nowhere)
-        if friction is not None:
-            trial = trial + friction.effort_at(pos, vel, friction.beyond(pos, vel))
-        end = step(trial, state)
-        acts = acts + drive.effort_at(pos, vel, drive.beyond(end.joint_pos, end.joint_vel))
+        with torch.no_grad():  # which side a drive is at its limit has no slope
+            trial = acts + drive.effort_at(pos, vel, nowhere)
+            if friction is not None:
+                trial = trial + friction.effort_at(pos, vel, friction.beyond(pos, vel))
+            end = step(trial, state)
+            at_limit = drive.beyond(end.joint_pos, end.joint_vel)
+        acts = acts + drive.effort_at(pos, vel, at_limit)
     if friction is not None:
-        end = step(acts + friction.effort_at(pos, vel, nowhere), state)
-        acts = acts + friction.effort_at(pos, vel, friction.beyond(end.joint_pos, end.joint_vel))
+        with torch.no_grad():
+            end = step(acts + friction.effort_at(pos, vel, nowhere), state)
+            slips = friction.beyond(end.joint_pos, end.joint_vel)
+        acts = acts + friction.effort_at(pos, vel, slips)
     return step(acts, half_way(state, step(acts, state)))
 
 

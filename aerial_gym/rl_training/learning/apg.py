@@ -229,7 +229,7 @@ def check_differentiable(task: Task, cfg: TrainingCfg) -> None:
     """Refuse, by name, what gradients of windows with resets in them do not go through.
 
     Raises:
-        CapabilityError: If the task has no gradients, or its resets draw parameters.
+        CapabilityError: If the task has no gradients, its resets draw parameters, or a CUDA graph should hold joints.
     """
     if task.values.graph is None:
         raise CapabilityError(
@@ -240,6 +240,12 @@ def check_differentiable(task: Task, cfg: TrainingCfg) -> None:
         raise CapabilityError(
             f"trainer apg: task {cfg.task} draws {drawn} at resets, over which no gradient goes back. Take them out of "
             "randomize, or train with ppo"
+        )
+    apg, bends = cfg.section(ApgCfg), task.env.robot_manager.articulation is not None
+    if bends and apg.capture and task.device.type == "cuda":
+        raise CapabilityError(
+            f"trainer apg: task {cfg.task} flies a robot with joints, whose links are placed by numbers of the host, which no "
+            "CUDA graph takes. Give capture: false, or train with ppo"
         )
 
 

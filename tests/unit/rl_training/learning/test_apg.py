@@ -10,7 +10,7 @@ from aerial_gym import task_registry
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.rl_training import load_settings, settings_for
-from aerial_gym.rl_training.learning.apg import Apg, window_return
+from aerial_gym.rl_training.learning.apg import Apg, check_differentiable, window_return
 from aerial_gym.rl_training.learning.network import make_network
 from aerial_gym.rl_training.learning.objective import bounded
 from aerial_gym.rl_training.settings import TrainingCfg
@@ -151,6 +151,31 @@ def test_a_row_that_goes_astray_teaches_nothing() -> None:
         training.advance()
         assert bool(training.learner.network.actor.head.weight.isfinite().all())
         assert not torch.equal(training.learner.network.actor.head.weight, before)
+
+
+def test_a_policy_learns_through_joints() -> None:
+    """The gradient of a window is finite and not 0, also in what the network makes of angles and rates of joints."""
+    cfg = replace(settings(2, horizon=3), task="position_setpoint_task_morphy")
+    with task_registry.make_task(cfg.task, num_envs=2, device="cpu", differentiable=True) as task:
+        learner = make_training(cfg, task).learner
+        torch.nn.init.normal_(learner.network.actor.head.weight, std=0.3)
+        loss, _ = learner._policy_loss(learner._fly())
+        loss.backward()
+        gradient = learner.network.actor.body.layers[0].weight.grad
+        assert gradient is not None
+        assert bool(gradient.isfinite().all())
+        assert bool((gradient[:, -16:].abs().amax(dim=0) > 0.0).all())
+
+
+def test_a_window_with_joints_is_no_cuda_graph() -> None:
+    cfg = replace(settings(2), task="position_setpoint_task_morphy")
+    with task_registry.make_task(cfg.task, num_envs=2, device="cpu", differentiable=True) as task:
+        check_differentiable(task, cfg)
+        task.device = torch.device("cuda")
+        with pytest.raises(CapabilityError, match=r"robot with joints.* Give capture: false"):
+            check_differentiable(task, cfg)
+        assert cfg.apg is not None
+        check_differentiable(task, replace(cfg, apg=replace(cfg.apg, capture=False)))
 
 
 def test_what_has_no_gradient_is_refused_by_name() -> None:

@@ -85,6 +85,15 @@ def test_gradients_of_rewards_and_observations_are_their_differences() -> None:
     assert torch.autograd.gradcheck(flown(task), (actions.requires_grad_(),), atol=1e-6, rtol=1e-5)
 
 
+@pytest.mark.parametrize("name", ["morphy", pytest.param("reconfigurable", marks=pytest.mark.slow)])
+def test_gradients_of_a_task_with_joints_are_its_differences(name: str) -> None:
+    """Of angles and rates that are seen and paid for, under thrusts and drives; rows end within the window."""
+    cfg = replace(task_registry.get(f"position_setpoint_task_{name}"), episode_len_steps=3)
+    task = built(cfg, NUM_ENVS, gradients=F64)
+    actions = torch.rand(3, NUM_ENVS, task.num_actions, dtype=F64, generator=torch.Generator().manual_seed(1)) - 0.5
+    assert torch.autograd.gradcheck(flown(task), (actions.requires_grad_(),), atol=1e-6, rtol=1e-5, fast_mode=True)
+
+
 @pytest.mark.parametrize("name", [*SLOWLY, "everything"])
 def test_kernels_have_the_gradients_of_torch_operations(name: str) -> None:
     """In float32, by two kernels for each part of the step, against torch's own operations in float64, held to differences.
@@ -189,6 +198,15 @@ def test_what_a_recorded_window_begins_with_stays_in_its_place() -> None:
 
 def changed(**changes: object) -> TaskCfg:
     return replace(task_registry.get("position_setpoint_task"), **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("key", ["robot_link_state_tensor", "robot_link_body_angvel"])
+def test_frames_of_links_are_refused_by_name(key: str) -> None:
+    """They follow from the joints in a kernel."""
+    cfg = task_registry.get("position_setpoint_task_morphy")
+    cfg = replace(cfg, observations={"policy": (ObservationCfg(term=key),)})
+    with pytest.raises(CapabilityError, match=f"observation term '{key}': reads {key}, which has no gradient"):
+        built(cfg, 2, gradients=torch.float32)
 
 
 @pytest.mark.parametrize(
