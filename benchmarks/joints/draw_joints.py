@@ -46,7 +46,7 @@ def draw_release(ax: Axes, record: str) -> None:
         assert robot.joints is not None
         layout = tuple(replace(joint, ends=None) for joint in robot.joints.layout)
         env = built(replace(robot, joints=replace(robot.joints, layout=layout, floating=False)))
-        for key in ("dof_position", "dof_velocity"):
+        for key in ("dof_position", "dof_velocity", "rotor_speed"):
             env.gtd[key].zero_()
         env.gtd["dof_position"][:, ::2] = start
         seen = [start]

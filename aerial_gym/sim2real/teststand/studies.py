@@ -13,7 +13,7 @@ from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand import figures
 from aerial_gym.sim2real.teststand.balance import Balance, Change, HoverEffort, hover_effort, judge_balance
 from aerial_gym.sim2real.teststand.hover import fit_hover
-from aerial_gym.sim2real.teststand.joints.record import PUBLISHED, fit_joint, release_record, spans
+from aerial_gym.sim2real.teststand.joints.record import ALTERNATE_S, PUBLISHED, fit_joint, release_record, spans
 from aerial_gym.sim2real.teststand.report import Study, Table, rotor_files
 from aerial_gym.sim2real.teststand.static import Choice, StaticFit, fit_static
 from aerial_gym.sim2real.teststand.statistics import Estimate, rms
@@ -205,7 +205,7 @@ def study_joint(bench: Bench, *, release: float = 0.0) -> Study:
     record, best = study.record, study.laws[study.chosen]
     rows = []
     published = spans(record.time, study.published)
-    rows.append(("published quadratic spring, nothing fitted", "", *_angles(published), ""))
+    rows.append(("published quadratic spring, nothing fitted", "", *_angles(published), "", "", ""))
     for law in study.laws.values():
         mark = " (chosen)" * (law.name == study.chosen)
         fit, held_out = spans(record.time, law.residual), spans(record.time, law.held_out)
@@ -213,6 +213,7 @@ def study_joint(bench: Bench, *, release: float = 0.0) -> Study:
             f"{np.degrees(fit['rms']):.3g}",
             *_angles(held_out),
             f"{np.degrees(study.forecast[law.name].value):.3g}",
+            *_angles(spans(record.time, study.alternate[law.name]))[:2],
         )
         rows.append((law.name + mark, *shown))
     head = (
@@ -222,6 +223,8 @@ def study_joint(bench: Bench, *, release: float = 0.0) -> Study:
         "first second [deg]",
         "largest [deg]",
         "second half forecast [deg]",
+        f"every second {1e3 * ALTERNATE_S:g} ms held out [deg]",
+        "first second of these [deg]",
     )
     params = [(name, interval(value)) for name, value in best.params.items()]
     units = "release, time [s]; stiffness [1/s²], damping [1/s] per inertia of the joint; rest [rad]"

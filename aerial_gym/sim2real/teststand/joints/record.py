@@ -22,6 +22,13 @@ PUBLISHED = {"stiffness": 5834.85, "damping": 229.24, "rest": 0.12566}
 BLOCK_EDGES_S = (0.0, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0)
 """Blocks that are left out in turn begin here after the release [s]: early ones are short, so that the first moments count."""
 
+ALTERNATE_S = 0.06
+"""Length of the blocks of which every second one is fitted [s]: a swing of the arm, 2 pi over 103 rad/s. A block that is left
+out, the first among them, is then told by none of the rows that show that swing."""
+
+POWER_TIMES = tuple(10.0 ** (0.5 * k) for k in range(-6, 4))
+"""Of the elements that stand for a power law [s]: two a decade, from less than a row takes to longer than a record."""
+
 BOUNDS: dict[str, tuple[float, float, float]] = {
     "release": (0.003, -0.005, 0.01),
     "stiffness": (9000.0, 1e2, 1e6),
@@ -34,9 +41,11 @@ BOUNDS: dict[str, tuple[float, float, float]] = {
     "time_2": (0.4, 1e-3, 1e2),
     "stiffness_3": (700.0, 1.0, 1e6),
     "time_3": (4.0, 1e-3, 1e2),
+    "creep": (1000.0, 1.0, 1e5),
+    "exponent": (0.3, -1.0, 2.0),
 }
-"""First guess, lower and upper bound. Release and times [s], stiffness [1/s²] (quadratic: [1/(rad s²)]), damping [1/s], rest
-[rad]."""
+"""First guess, lower and upper bound. Release and times [s], stiffness and creep [1/s²] (quadratic: [1/(rad s²)]), damping
+[1/s], rest [rad]."""
 
 LAWS: dict[str, tuple[str, ...]] = {
     "quadratic spring": ("quadratic_stiffness", "damping", "rest"),
@@ -50,6 +59,7 @@ LAWS: dict[str, tuple[str, ...]] = {
         *("stiffness", "damping", "rest"),
         *("stiffness_1", "time_1", "stiffness_2", "time_2", "stiffness_3", "time_3"),
     ),
+    "linear spring, power-law creep": ("stiffness", "damping", "rest", "creep", "exponent"),
 }
 """Parameters of each candidate; the moment of release is fitted with every one."""
 
@@ -112,6 +122,9 @@ class JointStudy:
     forecast: dict[str, Rms]
     """Error on the second half of the record of fits to the first half [rad], by law."""
 
+    alternate: dict[str, Array] = field(repr=False)
+    """Measured minus predicted by a fit to the other blocks of ``ALTERNATE_S``, every second one [rad], (T,), by law."""
+
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
         best = self.laws[self.chosen]
@@ -128,6 +141,7 @@ class JointStudy:
                     "held_out": spans(self.record.time, law.held_out),
                     "held_out_by_block": list(law.block_rms),
                     "forecast": self.forecast[law.name].as_mapping(),
+                    "alternate": spans(self.record.time, self.alternate[law.name]),
                     "params": {name: value.as_mapping() for name, value in law.params.items()},
                 }
                 for law in self.laws.values()
@@ -182,9 +196,8 @@ def joint_angle(record: Release, params: dict[str, float]) -> Array:
     since = np.maximum(record.time - params.get("release", 0.0), 0.0)
     if "quadratic_stiffness" in params:
         return _quadratic(record.start, params, since)
-    number = sum(name.startswith("time_") for name in params)
-    stiffness = np.array([params[f"stiffness_{i + 1}"] for i in range(number)])
-    times = np.array([params[f"time_{i + 1}"] for i in range(number)])
+    stiffness, times = creep_elements(params)
+    number = times.size
     motion = np.zeros((2 + number, 2 + number))
     motion[0, 1] = 1.0
     motion[1, :2] = -params["stiffness"] - stiffness.sum(), -params["damping"]
@@ -195,6 +208,23 @@ def joint_angle(record: Release, params: dict[str, float]) -> Array:
     rates, modes = np.linalg.eig(motion)
     amounts = modes[0] * np.linalg.solve(modes, begin.astype(complex))
     return params["rest"] + (np.exp(since[:, None] * rates) * amounts).sum(axis=1).real
+
+
+def creep_elements(params: dict[str, float]) -> tuple[Array, Array]:
+    """Return stiffness k_i [1/s²] and time T_i [s] of the creep elements of a law, (N,) each.
+
+    A power law of creep stands for a material that relaxes at all times alike, ``k_i = creep (T_i / 1 s)^-exponent``.
+
+    Source:
+        Power law: Bagley, Torvik (1983), A theoretical basis for the application of fractional calculus to viscoelasticity;
+        as a sum of elements: Schapery (1962), Approximate methods of transform inversion for viscoelastic stress analysis.
+    """
+    if "exponent" in params:
+        times = np.array(POWER_TIMES)
+        return params["creep"] * times ** -params["exponent"], times
+    number = sum(name.startswith("time_") for name in params)
+    stiffness = np.array([params[f"stiffness_{i + 1}"] for i in range(number)])
+    return stiffness, np.array([params[f"time_{i + 1}"] for i in range(number)])
 
 
 def _quadratic(start: float, params: dict[str, float], since: Array) -> Array:
@@ -228,7 +258,27 @@ def fit_joint(record: Release) -> JointStudy:
         laws=laws,
         chosen=chosen,
         forecast=forecast,
+        alternate={name: alternate_error(name, record) for name in laws},
     )
+
+
+def alternate_blocks(record: Release) -> NDArray[np.int64]:
+    """Return 0 or 1 for every row, (T,): in which of the two halves of the blocks of ``ALTERNATE_S`` it is."""
+    return (record.time / ALTERNATE_S).astype(np.int64) % 2
+
+
+def fit_rows(name: str, record: Release, kept: NDArray[np.bool_]) -> dict[str, float]:
+    """Return the parameters of a law that fit the rows ``kept``, bool (T,), of a record best; ``release`` is among them."""
+    return dict(zip(("release", *LAWS[name]), _fit(name, record, kept).params.tolist(), strict=True))
+
+
+def alternate_error(name: str, record: Release) -> Array:
+    """Return the residuals of all rows under the fit to the other half of the blocks [rad], (T,)."""
+    half, error = alternate_blocks(record), np.empty(record.time.size)
+    for fitted in (0, 1):
+        left = half != fitted
+        error[left] = _fit(name, record, ~left).residual[left]
+    return error
 
 
 def _fit(name: str, record: Release, kept: NDArray[np.bool_] | None = None, near: Array | None = None) -> CurveFit:

@@ -1,6 +1,7 @@
 """Bench identifications against curves whose numbers are known, and against integrated equations of motion."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from scipy.special import gamma
 
 from aerial_gym.cli.main import main
 from aerial_gym.config import load
@@ -15,7 +17,15 @@ from aerial_gym.config.robot import RobotCfg, RotorCfg
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.teststand.hover import fit_hover
-from aerial_gym.sim2real.teststand.joints.record import Release, fit_joint, joint_angle, release_record
+from aerial_gym.sim2real.teststand.joints.record import (
+    Release,
+    alternate_blocks,
+    alternate_error,
+    creep_elements,
+    fit_joint,
+    joint_angle,
+    release_record,
+)
 from aerial_gym.sim2real.teststand.static import StaticFit, fit_static
 from aerial_gym.sim2real.teststand.statistics import correlated_covariance, estimates, independent_covariance
 from aerial_gym.sim2real.teststand.step import fit_steps, lag_error, simulate, step_record
@@ -282,6 +292,32 @@ def test_creep_solves_the_generalised_maxwell_equations() -> None:
         motion, (0.0, 12.0), [0.4, 0.0, 0.275, 0.275], t_eval=record.time, rtol=1e-9, atol=1e-12, method="LSODA"
     )
     np.testing.assert_allclose(joint_angle(record, JOINT), found.y[0], atol=1e-7)
+
+
+def test_elements_of_a_power_law_relax_by_a_power() -> None:
+    """``sum k_i exp(-t / T_i)`` is ``c Gamma(a) t^-a / h`` and a constant, h the logarithm of the ratio of two times.
+
+    Elements that are left out, below 1 ms and above 32 s, and the steps between the others are within 2e-3 of it.
+    """
+    amount, exponent, step = 400.0, 0.43, 0.5 * np.log(10.0)
+    stiffness, times = creep_elements({"creep": amount, "exponent": exponent})
+    time = np.array([0.01, 0.03, 0.1, 0.3, 1.0])
+    relaxed = (stiffness * np.exp(-time[:, None] / times)).sum(1)
+    np.testing.assert_allclose(np.diff(relaxed), np.diff(amount * gamma(exponent) * time**-exponent / step), rtol=2e-3)
+
+
+def test_what_is_held_out_of_alternate_blocks_does_not_change_its_prediction() -> None:
+    """Shifting all angles of one half of the blocks shifts their errors by just as much."""
+    params = {"stiffness": 4800.0, "damping": 60.0, "rest": 0.125}
+    record = release(rate=200.0, seconds=0.6)
+    record = replace(record, angle=joint_angle(record, params))
+    moved = replace(record, angle=record.angle + 0.01 * (alternate_blocks(record) == 1))
+    odd = alternate_blocks(record) == 1
+    assert 0.3 < odd.mean() < 0.7
+    found, after = (alternate_error("linear spring", each) for each in (record, moved))
+    np.testing.assert_allclose(found, 0.0, atol=1e-5)
+    np.testing.assert_allclose(after[odd], found[odd] + 0.01, atol=1e-9)
+    assert np.abs(after[~odd] - found[~odd]).max() > 1e-3
 
 
 def test_the_quadratic_spring_solves_its_equation_and_waits_for_the_release() -> None:
