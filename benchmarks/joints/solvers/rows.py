@@ -44,33 +44,31 @@ def above(articulation: Articulation, k: int) -> list[int]:
 def make_columns(articulation: Articulation, j: int, factor: Any) -> wp.Function:
     """Return what takes the columns of all joints beyond joint j past it: (factor, axis, lever) -> factor."""
     revolute, depth = articulation.tree.joints[j].kind == "revolute", len(above(articulation, j))
+    beyond = [k for k in range(articulation.num_joints) if j in above(articulation, k)]
+    count, joints = len(beyond), _numbers(beyond)
 
     @wp.func
-    def none(kept: factor, axis: wp.vec3, lever: wp.vec3) -> factor:
-        return kept
-
-    def with_column(rest: wp.Function, k: int) -> wp.Function:
-        @wp.func
-        def column(kept: factor, axis: wp.vec3, lever: wp.vec3) -> factor:
-            after = rest(kept, axis, lever)
-            by_turn = wp.vec3(after.by_turn[k, 0], after.by_turn[k, 1], after.by_turn[k, 2])
-            by_push = wp.vec3(after.by_push[k, 0], after.by_push[k, 1], after.by_push[k, 2])
+    def columns(kept: factor, axis: wp.vec3, lever: wp.vec3) -> factor:
+        after = kept
+        for n in range(wp.static(count)):
+            k = joints[n]
+            by_turn = wp.vec3(kept.by_turn[k, 0], kept.by_turn[k, 1], kept.by_turn[k, 2])
+            by_push = wp.vec3(kept.by_push[k, 0], kept.by_push[k, 1], kept.by_push[k, 2])
             if wp.static(revolute):
                 after.mass[k, depth] = wp.dot(axis, by_turn)
             else:
                 after.mass[k, depth] = wp.dot(axis, by_push)
-            by_turn += wp.cross(lever, by_push)
+            moved = by_turn + wp.cross(lever, by_push)
             for i in range(3):
-                after.by_turn[k, i] = by_turn[i]
-            return after
+                after.by_turn[k, i] = moved[i]
+        return after
 
-        return column
+    return columns
 
-    total = none
-    for k in range(j + 1, articulation.num_joints):
-        if j in above(articulation, k):
-            total = with_column(total, k)
-    return total
+
+def _numbers(values: list[int]) -> Any:
+    """Return a constant vector of numbers; of one zero for none, as Warp has no vector of none."""
+    return wp.types.vector(length=max(len(values), 1), dtype=wp.int32)(*(values or [0]))
 
 
 def make_elimination(articulation: Articulation, factor: Any) -> wp.Function:
@@ -108,27 +106,21 @@ def make_elimination(articulation: Articulation, factor: Any) -> wp.Function:
 
 def _make_subtraction(articulation: Articulation, k: int, factor: Any) -> wp.Function:
     """Return what takes the row of joint k off those of the joints above it, as much as eliminates it."""
+    depth, joints = len(above(articulation, k)), _numbers(above(articulation, k))
 
     @wp.func
-    def none(kept: factor) -> factor:
-        return kept
-
-    def with_row(rest: wp.Function, i: int, depth: int) -> wp.Function:
-        @wp.func
-        def row(kept: factor) -> factor:
-            after = rest(kept)
-            part = after.mass[k, depth] * after.inverse[k]
-            for n in range(wp.static(depth + 1)):
-                after.mass[i, n] -= part * after.mass[k, n]
+    def subtract(kept: factor) -> factor:
+        after = kept
+        for d in range(wp.static(depth)):
+            i = joints[d]
+            part = kept.mass[k, d] * kept.inverse[k]
+            for n in range(wp.static(depth)):
+                if n <= d:
+                    after.mass[i, n] -= part * kept.mass[k, n]
             for n in range(3):
-                after.by_turn[i, n] -= part * after.by_turn[k, n]
-                after.by_push[i, n] -= part * after.by_push[k, n]
-            after.left[i] -= part * after.left[k]
-            return after
+                after.by_turn[i, n] -= part * kept.by_turn[k, n]
+                after.by_push[i, n] -= part * kept.by_push[k, n]
+            after.left[i] -= part * kept.left[k]
+        return after
 
-        return row
-
-    total = none
-    for depth, i in enumerate(above(articulation, k)):
-        total = with_row(total, i, depth)
-    return total
+    return subtract
