@@ -61,6 +61,8 @@ def test_garbage_is_looked_for_again_after_imports() -> None:
     with no_garbage():
         assert not gc.isenabled()
     assert gc.isenabled()
+    assert gc.get_freeze_count() > 0  # of what was imported
+    gc.unfreeze()
     gc.disable()
     try:
         with no_garbage():

@@ -88,7 +88,7 @@ def floor_of_flight(
     noise of what is predicted allows. What rounding leaves in the band beyond that level is added.
     """
     readings, rate = [is_reading(channel, flight) for channel in channels], flight.rate
-    as_logged = wide_predictor(robot, flight, channels, [as_measured(flight)])
+    as_logged = wide_predictor(robot, [flight], channels, [as_measured(flight)])
     rows = longest_flight(flight, as_logged.times[0], bandwidth)
     floor = floor_of_columns(as_logged.residuals(params)[0][rows], rate, bandwidth, readings)
     expected = estimate_rotors(robot, [flight], bandwidth)
@@ -97,7 +97,7 @@ def floor_of_flight(
     slow = square_of_slow_rounding(robot, flight, params, channels, bandwidth)
     if expected[0] is None:
         return np.sqrt(floor**2 + slow)
-    quiet = wide_predictor(robot, flight, channels, expected)
+    quiet = wide_predictor(robot, [flight], channels, expected)
     apart = (as_logged.predict(params)[0] - quiet.predict(params)[0])[rows]
     least = floor_of_columns(as_logged.measured[0][rows], rate, bandwidth, readings)
     assert least is not None
@@ -115,13 +115,13 @@ def square_of_slow_rounding(
     given = {name: getattr(flight, name) for name in ("rotor_speed", "rotor_command", "specific_force", "ang_vel")}
     flown = slice(None) if flight.on_ground is None else ~flight.on_ground
     logs = {name: rounded_anew(v, flight.rate, bandwidth, flown) for name, v in given.items() if v is not None}
-    free, *rounded = (replace(flight, **dict(zip(logs, log, strict=True))) for log in zip(*logs.values(), strict=True))
-    plain = wide_predictor(robot, free, channels, [as_measured(free)])
-    rows = longest_flight(flight, plain.times[0], bandwidth)
+    flights = [replace(flight, **dict(zip(logs, log, strict=True))) for log in zip(*logs.values(), strict=True)]
+    predictor = wide_predictor(robot, flights, channels, [as_measured(log) for log in flights])
+    rows = longest_flight(flight, predictor.times[0], bandwidth)
     readings, squares = [is_reading(channel, flight) for channel in channels], []
-    for log in rounded:
-        noisy = wide_predictor(robot, log, channels, [as_measured(log)])
-        apart = (noisy.residuals(params)[0] - plain.residuals(params)[0])[rows]
+    plain, *noisy = predictor.residuals(params)
+    for residual in noisy:
+        apart = (residual - plain)[rows]
         told = floor_of_columns(apart, flight.rate, bandwidth, readings)
         assert told is not None
         squares.append((lowpass(apart, flight.rate, bandwidth) ** 2).mean(axis=0) - told**2)
@@ -151,13 +151,16 @@ def rounded_anew(values: Array, rate: float, bandwidth: float, rows: slice | NDA
 
 
 def wide_predictor(
-    robot: RobotCfg, flight: Flight, channels: Sequence[Channel], rotors: Sequence[RotorEstimate | None]
+    robot: RobotCfg, flights: Sequence[Flight], channels: Sequence[Channel], rotors: Sequence[RotorEstimate | None]
 ) -> Predictor:
-    """Return what predicts every row of a flight up to frequencies above the band of a comparison, from some rotor speeds."""
+    """Return what predicts every row of flights of one rate up to frequencies above the band of a comparison.
+
+    ``rotors`` are the rotor speeds of each from which it is predicted.
+    """
     return Predictor(
         robot,
-        [flight],
-        bandwidth=WIDE_BAND * flight.rate,
+        flights,
+        bandwidth=WIDE_BAND * flights[0].rate,
         channels=channels,
         tolerances=Tolerances(),
         every_row=True,

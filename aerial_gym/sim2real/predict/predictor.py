@@ -89,9 +89,11 @@ class Predictor:
             raise DataError("some flights have measured rotor speeds and some have not; give flights of one kind")
         turning = estimate_rotors(robot, flights, bandwidth) if rotors is None else rotors
         rows = [flight.num_rows // (1 if every_row else thinned(flight, bandwidth)) for flight in flights]
+        self._declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
         self._parts = [
             Together(
                 robot,
+                self._declared,
                 Dataset(
                     self.flights[part],
                     rotors=turning[part],
@@ -105,7 +107,6 @@ class Predictor:
         ]
         self.measured = [np.asfortranarray(measured) for part in self._parts for measured in part.data.measured]
         self.times = [time for part in self._parts for time in part.data.times]
-        self._declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
         self._predictions: OrderedDict[tuple[object, ...], list[Columns]] = OrderedDict()
         self._told: dict[tuple[object, ...], tuple[object, ...]] = {}
 

@@ -8,6 +8,7 @@ sizes come from each log. Letters: E environments, R rotors, N tolerances.
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, fields, replace
+from functools import cache
 
 import numpy as np
 import torch
@@ -266,10 +267,15 @@ def joint_start(tolerances: Tolerances, deviation: Tensor) -> float:
 
 def split(deviation: Tensor) -> dict[str, Tensor]:
     """Return the parts of deviations (N,) by the names of ``LAYOUT``."""
+    return dict(zip(LAYOUT, torch.split(deviation, _sizes(deviation.numel())), strict=True))
+
+
+@cache
+def _sizes(number: int) -> list[int]:
+    """Return how many of a number N of tolerances each name of ``LAYOUT`` has."""
     none = {name: len(_parts_of(of, 0)) for name, of in LAYOUT.items()}
-    rotors = (deviation.numel() - sum(none.values())) // sum(of == "rotors" for of in LAYOUT.values())
-    sizes = [len(_parts_of(of, rotors)) for of in LAYOUT.values()]
-    return dict(zip(LAYOUT, torch.split(deviation, sizes), strict=True))
+    rotors = (number - sum(none.values())) // sum(of == "rotors" for of in LAYOUT.values())
+    return [len(_parts_of(of, rotors)) for of in LAYOUT.values()]
 
 
 def of_logs(num_rotors: int) -> NDArray[np.bool_]:

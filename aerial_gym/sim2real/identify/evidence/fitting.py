@@ -132,12 +132,21 @@ class Fitter:
     """Fits sets about a present model, with the tolerances linear about it, and half way to its deviations."""
 
     def __init__(
-        self, predictor: Predictor, declared: ModelParams, num_names: int, weights: Weighting, present: ModelParams
+        self,
+        predictor: Predictor,
+        declared: ModelParams,
+        num_names: int,
+        weights: Weighting,
+        present: ModelParams,
+        tolerance: Derivatives | None = None,
     ) -> None:
-        """Take flights, the declared model, how many effects there are to choose from, weights, and the present model."""
+        """Take flights, the declared model, how many effects there are to choose from, weights, and the present model.
+
+        With its derivatives by the deviations, (rows, C, N) of each flight, where they are known.
+        """
         self.predictor, self.declared, self.weights = predictor, declared, weights
         self.log_names, self._present = float(np.log(max(1, num_names))), present
-        self._tolerance: Derivatives | None = None
+        self._tolerance = tolerance
         self._beside: dict[tuple[Nuisance, ...], Beside] = {}
         self._derivatives: dict[Label, tuple[Fitted, Derivatives]] = {}
 

@@ -9,7 +9,7 @@ from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, 
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, best_step, fit_of_moments
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, weights_from
 from aerial_gym.sim2real.identify.least_squares.parameters import params_of, scales, with_params
-from aerial_gym.sim2real.identify.least_squares.weighted import Beside
+from aerial_gym.sim2real.identify.least_squares.weighted import weighted_moments
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
@@ -20,7 +20,7 @@ def weighting(
     predictor: Predictor,
     start: ModelParams,
     effects: tuple[str, ...],
-    derivatives: Derivatives,
+    own: Sequence[Array],
     linear: Sequence[Derivatives],
     *,
     beyond: Callable[[list[Array], Weighting], list[Array]] | None = None,
@@ -28,17 +28,18 @@ def weighting(
     """Return the weights of the channels from what no candidate effect explains.
 
     All effects and what is ``linear`` beside them, tolerances among it, (rows, C, any) each, are fitted together, three times,
-    each time weighted by what the fit before left over; with ``beyond``, by what that makes of it. ``derivatives`` are those by
-    the effects at the start, (rows, C, P).
+    each time weighted by what the fit before left over; with ``beyond``, by what that makes of it. ``own`` are the derivatives
+    by the effects at the start, (rows, C, P), and are mended in place.
     """
-    params, own = start, [part.astype(np.float64) for part in derivatives]
+    params = start
     predicted = predictor.predict(params)
     found = weights_from([m - p for m, p in zip(predictor.measured, predicted, strict=True)])
     ends = np.cumsum([0, *(part[0].shape[2] for part in linear)])[:-1]
     for _ in range(3):
         residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
-        beside = Beside(predictor.times, list(zip(*linear, strict=True)), found.weight)
-        fit = fit_of_moments(predictor.robot, effects, params, beside.moments(residuals, own))
+        flights = list(zip(own, *linear, strict=True))
+        moments = weighted_moments(predictor.times, residuals, flights, found.weight)
+        fit = fit_of_moments(predictor.robot, effects, params, moments)
         step, *steps = np.split(best_step(fit, UNIT, fit.free_all), fit.num_effect_params + ends)
         left = residuals
         for part, along in zip((own, *linear), (step, *steps), strict=True):

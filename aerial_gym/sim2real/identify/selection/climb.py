@@ -198,12 +198,13 @@ class Climber:
         tangents = tangents_about(self.predictor, self.declared, self.declared, skipped=self.skipped)
         tolerance = tolerance_jacobian(self.predictor, self.declared, np.float32)
         self._weighed = self.declared, self.weigh(self.declared, tangents, tolerance)
-        return self.start_from(self.declared, (), (), self._weighed[1], tangents)
+        return self.start_from(self.declared, (), (), self._weighed[1], tangents, tolerance)
 
     def weights_about(self, view: View) -> Weighting:
         """Return the weights that a model leaves; those of the last one are known."""
         params = view.present.params
         if params is not self._weighed[0]:
+            give_back_memory()
             self._weighed = params, self.weigh(params, view.library.tangents, view.fitter.tolerance)
         return self._weighed[1]
 
@@ -221,7 +222,10 @@ class Climber:
         linear = [tolerance, *(one.columns for one in several if one.name not in params.effects)]
         nothing = [np.empty((*residual.shape, 0)) for residual in self.missed]
         own = [np.concatenate(parts, axis=2) for parts in zip(nothing, *(one.columns for one in common), strict=True)]
-        return weighting(self.predictor, start, tuple(one.name for one in common), own, linear, beyond=beyond)
+        found = weighting(self.predictor, start, tuple(one.name for one in common), own, linear, beyond=beyond)
+        del own
+        give_back_memory()
+        return found
 
     def start_from(
         self,
@@ -230,9 +234,10 @@ class Climber:
         structures: tuple[Nuisance, ...],
         weights: Weighting,
         tangents: list[Tangent] | None = None,
+        tolerance: Derivatives | None = None,
     ) -> View:
         """Return all candidates about a set, with the deviations that it has, or about what holds of it under these weights."""
-        fitter, start = self.fitter_about(params, weights), replace(params, deviation=None)
+        fitter, start = self.fitter_about(params, weights, tolerance), replace(params, deviation=None)
         present, nothing = fitter.fit(effects, structures, start), fitter.fit((), (), self.declared)
         while not present.holds:
             present = fitter.without_weakest(present)
@@ -256,9 +261,9 @@ class Climber:
             give_back_memory()
             self.view = self.view_about(leader, own, fits)
 
-    def fitter_about(self, params: ModelParams, weights: Weighting) -> Fitter:
+    def fitter_about(self, params: ModelParams, weights: Weighting, tolerance: Derivatives | None = None) -> Fitter:
         """Return what fits sets with the tolerances linear about a model."""
-        return Fitter(self.predictor, self.declared, len(self.names), weights, params)
+        return Fitter(self.predictor, self.declared, len(self.names), weights, params, tolerance)
 
     def leader(self, view: View) -> Fitted:
         """Return the best fitted set, each that comes first fitted once more with the tolerances linear about itself."""

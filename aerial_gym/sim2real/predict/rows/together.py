@@ -21,10 +21,10 @@ from aerial_gym.math.quaternion import (
 )
 from aerial_gym.physics import (
     BodyState,
+    Vehicle,
     accelerations,
     build_model,
     condition_in,
-    vehicle_from_config,
 )
 from aerial_gym.physics.answers import Answers
 from aerial_gym.physics.effects import (
@@ -111,9 +111,9 @@ class _Hanging:
 class Together:
     """Predictions for flights whose rows are evaluated at once."""
 
-    def __init__(self, robot: RobotCfg, data: Dataset, tolerances: Tolerances) -> None:
-        self.data, self.tolerances = data, tolerances
-        self._declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
+    def __init__(self, robot: RobotCfg, declared: Vehicle, data: Dataset, tolerances: Tolerances) -> None:
+        """Take the declared robot, the same as a vehicle of one environment, the flights and the tolerances."""
+        self.data, self.tolerances, self._declared = data, tolerances, declared
         self._replay = RotorReplay(data.flights)
         self._load_replay = LoadReplay(data.flights, data.row_times)
         self._forces, self._memories = Answers[Condition](), Answers[Track]()
