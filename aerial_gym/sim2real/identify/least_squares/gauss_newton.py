@@ -18,7 +18,7 @@ from aerial_gym.sim2real.identify.least_squares.derivatives import (
     effect_jacobian,
     exact_along,
 )
-from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_moments
+from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_length, block_moments, of_flights
 from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets
 from aerial_gym.sim2real.identify.least_squares.parameters import bounds_of, is_number, params_of, scales, with_params
 from aerial_gym.sim2real.identify.least_squares.weighted import Beside, Weighted, product_of
@@ -159,22 +159,23 @@ def linearise(
     predictor: Predictor,
     effects: tuple[str, ...],
     params: ModelParams,
-    tolerance: list[Array],
+    tolerance: Derivatives,
     *,
-    base: list[Array] | None = None,
-    length: float | None = None,
     offsets: OwnOffsets | None = None,
-) -> tuple[Fit, list[Array], list[Array]]:
-    """Return the model at a point, the residuals there, and their derivatives (rows, C, K).
+) -> Fit:
+    """Return the model at a point, with the derivatives by the tolerances, (rows, C, N) of each flight.
 
-    ``length`` is of a block [s]; ``offsets`` of flights are taken out of all.
+    ``offsets`` of flights are taken out of all. Flight by flight: derivatives of all flights need not be held a second time.
     """
-    predicted = predictor.predict(params) if base is None else base
-    residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
-    jacobians = effect_jacobian(predictor, params, effects, predicted, beside=tolerance)
-    if offsets is not None:
-        residuals, jacobians = offsets.taken_out(residuals), offsets.taken_out(jacobians)
-    return fit_at(predictor, effects, params, residuals, jacobians, length=length), residuals, jacobians
+    predicted = predictor.predict(params)
+    own, length = effect_jacobian(predictor, params, effects, predicted), block_length(predictor.times)
+    found = []
+    for time, m, p, *parts in zip(predictor.times, predictor.measured, predicted, own, tolerance, strict=True):
+        residuals, jacobians = [m - p], [np.concatenate(parts, axis=2)]
+        if offsets is not None:
+            residuals, jacobians = offsets.taken_out(residuals), offsets.taken_out(jacobians)
+        found.append(block_moments([time], residuals, jacobians, length=length))
+    return fit_of_moments(predictor.robot, effects, params, of_flights(found))
 
 
 def fit_at(
@@ -183,14 +184,9 @@ def fit_at(
     params: ModelParams,
     residuals: list[Array],
     jacobians: Sequence[Array],
-    *,
-    length: float | None = None,
 ) -> Fit:
-    """Return the model at a point from its residuals there and their derivatives (rows, C, K).
-
-    ``length`` is of a block [s].
-    """
-    moments = block_moments(predictor.times, residuals, jacobians, length=length)
+    """Return the model at a point from its residuals there and their derivatives (rows, C, K)."""
+    moments = block_moments(predictor.times, residuals, jacobians)
     return fit_of_moments(predictor.robot, effects, params, moments)
 
 

@@ -133,6 +133,17 @@ def block_moments(
     return found
 
 
+def of_flights(found: Sequence[Moments]) -> Moments:
+    """Return the sums of all flights from those of each, one flight after the other."""
+    return Moments(
+        count=np.concatenate([one.count for one in found]),
+        square=np.concatenate([one.square for one in found]),
+        gradient=np.concatenate([one.gradient for one in found]),
+        product=np.concatenate([one.product for one in found]),
+        flight=np.repeat(np.arange(len(found)), [one.count.size for one in found]),
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Weighting:
     """What a channel counts in a fit."""

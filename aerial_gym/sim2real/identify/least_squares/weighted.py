@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from aerial_gym.sim2real.identify.least_squares.moments import Moments
+from aerial_gym.sim2real.identify.least_squares.moments import Moments, of_flights
 from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets, no_offsets
 from aerial_gym.sim2real.predict.nonzero import not_zero
 
@@ -189,16 +189,11 @@ def weighted_moments(
 
     Flight by flight: the columns of all flights need not be held a second time.
     """
-    found = [
-        Beside([time], [own], weight, parts=parts).moments([r], [np.zeros((*r.shape, 0))])
-        for time, r, own in zip(times, residuals, flights, strict=True)
-    ]
-    return Moments(
-        count=np.concatenate([one.count for one in found]),
-        square=np.concatenate([one.square for one in found]),
-        gradient=np.concatenate([one.gradient for one in found]),
-        product=np.concatenate([one.product for one in found]),
-        flight=np.repeat(np.arange(len(found)), [one.count.size for one in found]),
+    return of_flights(
+        [
+            Beside([time], [own], weight, parts=parts).moments([r], [np.zeros((*r.shape, 0))])
+            for time, r, own in zip(times, residuals, flights, strict=True)
+        ]
     )
 
 

@@ -3,6 +3,8 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.library import neutral_of
@@ -18,6 +20,7 @@ from aerial_gym.sim2real.identify.least_squares.weighted import Beside
 from aerial_gym.sim2real.identify.selection.choose import Chosen, choose_effects
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE, Criteria, LeftOut, Scored
 from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.progress import Progress, silent
@@ -156,6 +159,7 @@ def select_effects(
     reasons = {name: lacks(name, predictor.robot, predictor.flights, test) for name in sought}
     able = [name for name in sought if not reasons[name]]
     chosen = choose_effects(predictor, declared, able, material=criteria.material, progress=progress)
+    give_back_memory()
     scorer = _Scorer(predictor, declared, criteria, chosen)
     final, chosen = scorer.final()
     unseen = {
@@ -164,7 +168,7 @@ def select_effects(
         if name not in chosen.effects
     }
     return Selection(
-        declared=scorer.score((), declared),
+        declared=scorer.nothing,
         final=final,
         chosen=chosen,
         not_testable={name: reason for name, reason in reasons.items() if reason} | unseen,
@@ -179,27 +183,32 @@ class _Scorer:
 
     def __init__(self, predictor: Predictor, declared: ModelParams, criteria: Criteria, chosen: Chosen) -> None:
         self.predictor, self.declared, self.chosen, self.weights = predictor, declared, chosen, chosen.weights
-        self.tolerance = tolerance_jacobian(predictor, chosen.named.within)
+        self.tolerance = tolerance_jacobian(predictor, chosen.named.within, np.float32)
         weight = self.weights.weight
         self.offsets = offsets_of(chosen.best.structures, predictor.channels, weight)
         parts = [[part] for part in self.tolerance]
         self.beside = Beside(predictor.times, parts, weight, offsets=self.offsets)
+        nothing = self._fit((), declared, frozenset())
         self.left_out = LeftOut(
-            moments=self._fit((), declared, frozenset()).moments,
+            moments=nothing.moments,
             weights=self.weights,
             criteria=criteria,
             channels=predictor.channels,
             tolerated=tolerated(predictor, declared),
         )
+        self.nothing = self._scored(nothing)
+        """The declared model."""
 
     def _fit(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen) -> Fit:
         found, _, _ = fit_effects(self.predictor, effects, start, self.beside, frozen=frozen)
-        by_channel, _, _ = linearise(self.predictor, effects, found.params, self.tolerance, offsets=self.offsets)
+        by_channel = linearise(self.predictor, effects, found.params, self.tolerance, offsets=self.offsets)
         return replace(by_channel, frozen=frozen)
 
     def score(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen = frozenset()) -> Scored:
         """Return the model with these effects fitted, and its squares on flights left out."""
-        fit = self._fit(effects, start, frozen)
+        return self._scored(self._fit(effects, start, frozen))
+
+    def _scored(self, fit: Fit) -> Scored:
         return Scored(fit=fit, spread=uncertainty(fit, self.weights.weight), left_out=self.left_out.squares(fit))
 
     def final(self) -> tuple[Scored, Chosen]:

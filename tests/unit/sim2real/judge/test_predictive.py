@@ -99,7 +99,7 @@ def judged(
     declared = declared_params(robot)
     tolerance = tolerance_jacobian(train, declared)
     weights = weights_from(train.residuals(declared))
-    fit, _, _ = linearise(train, (), declared, tolerance)
+    fit = linearise(train, (), declared, tolerance)
     squares = np.concatenate([(part**2).sum(axis=2) for part in tolerance]).mean(axis=0)
     selection = SimpleNamespace(
         final=SimpleNamespace(fit=fit, spread=SimpleNamespace(columns=(), std=())),
@@ -139,7 +139,7 @@ def test_a_parameter_is_no_surer_on_test_flights_than_its_interval(tmp_path) -> 
     channels = find_channels([flown])
     predictor = Predictor(ROBOT, [flown], bandwidth=10.0, channels=channels, tolerances=Tolerances(acc_bias=1e-6))
     params = ModelParams(effects={"rotor_drag": np.full(3, 0.2)})
-    fit, _, _ = linearise(predictor, ("rotor_drag",), params, tolerance_jacobian(predictor, params))
+    fit = linearise(predictor, ("rotor_drag",), params, tolerance_jacobian(predictor, params))
     weights = weights_from(predictor.residuals(params))
 
     def limit(std: float) -> np.ndarray:

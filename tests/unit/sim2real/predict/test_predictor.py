@@ -516,7 +516,7 @@ def test_noise_of_what_kinematics_imply_is_no_scale_of_the_accelerometer(tmp_pat
     params = ModelParams(effects={"rotor_drag": np.full(3, 0.2)})
     sizes = Tolerances(acc_scale=0.1)
     predictor = Predictor(ROBOT, flights, bandwidth=BAND, channels=find_channels(flights), tolerances=sizes)
-    fit, _, _ = linearise(predictor, (), params, tolerance_jacobian(predictor, params))
+    fit = linearise(predictor, (), params, tolerance_jacobian(predictor, params))
     kinematic = np.array([channel.kind == "kinematic_force" for channel in predictor.channels])
     weight = weights_from(predictor.residuals(params)).weight * kinematic
     product, gradient = normal_equations(fit, weight)
