@@ -132,21 +132,12 @@ class Fitter:
     """Fits sets about a present model, with the tolerances linear about it, and half way to its deviations."""
 
     def __init__(
-        self,
-        predictor: Predictor,
-        declared: ModelParams,
-        num_names: int,
-        weights: Weighting,
-        present: ModelParams,
-        tolerance: Derivatives | None = None,
+        self, predictor: Predictor, declared: ModelParams, num_names: int, weights: Weighting, present: ModelParams
     ) -> None:
-        """Take flights, the declared model, how many effects there are to choose from, weights, and the present model.
-
-        With its derivatives by the deviations, (rows, C, N) of each flight, where they are known.
-        """
+        """Take flights, the declared model, how many effects there are to choose from, weights, and the present model."""
         self.predictor, self.declared, self.weights = predictor, declared, weights
         self.log_names, self._present = float(np.log(max(1, num_names))), present
-        self._tolerance = tolerance
+        self._tolerance: Derivatives | None = None
         self._beside: dict[tuple[Nuisance, ...], Beside] = {}
         self._derivatives: dict[Label, tuple[Fitted, Derivatives]] = {}
 
@@ -166,6 +157,10 @@ class Fitter:
         if self._tolerance is None:
             self._tolerance = tolerance_jacobian(self.predictor, self._present, np.float32)
         return self._tolerance
+
+    @tolerance.setter
+    def tolerance(self, known: Derivatives | None) -> None:
+        self._tolerance = known
 
     def beside(self, structures: Sequence[Nuisance], more: Sequence[Array] | None = None) -> Beside:
         """Return the tolerances, structures behind them, and ``more`` columns (rows, C, any).

@@ -222,10 +222,7 @@ class Climber:
         linear = [tolerance, *(one.columns for one in several if one.name not in params.effects)]
         nothing = [np.empty((*residual.shape, 0)) for residual in self.missed]
         own = [np.concatenate(parts, axis=2) for parts in zip(nothing, *(one.columns for one in common), strict=True)]
-        found = weighting(self.predictor, start, tuple(one.name for one in common), own, linear, beyond=beyond)
-        del own
-        give_back_memory()
-        return found
+        return weighting(self.predictor, start, tuple(one.name for one in common), own, linear, beyond=beyond)
 
     def start_from(
         self,
@@ -237,7 +234,8 @@ class Climber:
         tolerance: Derivatives | None = None,
     ) -> View:
         """Return all candidates about a set, with the deviations that it has, or about what holds of it under these weights."""
-        fitter, start = self.fitter_about(params, weights, tolerance), replace(params, deviation=None)
+        fitter, start = self.fitter_about(params, weights), replace(params, deviation=None)
+        fitter.tolerance = tolerance
         present, nothing = fitter.fit(effects, structures, start), fitter.fit((), (), self.declared)
         while not present.holds:
             present = fitter.without_weakest(present)
@@ -261,9 +259,9 @@ class Climber:
             give_back_memory()
             self.view = self.view_about(leader, own, fits)
 
-    def fitter_about(self, params: ModelParams, weights: Weighting, tolerance: Derivatives | None = None) -> Fitter:
+    def fitter_about(self, params: ModelParams, weights: Weighting) -> Fitter:
         """Return what fits sets with the tolerances linear about a model."""
-        return Fitter(self.predictor, self.declared, len(self.names), weights, params, tolerance)
+        return Fitter(self.predictor, self.declared, len(self.names), weights, params)
 
     def leader(self, view: View) -> Fitted:
         """Return the best fitted set, each that comes first fitted once more with the tolerances linear about itself."""

@@ -55,7 +55,7 @@ def read_table(path: Path, layout: LogMapping) -> pd.DataFrame:
             keep_default_na=False,
             na_values=[""],
             skipinitialspace=True,
-            float_precision="high",
+            float_precision="round_trip",
         )
     except (ValueError, OverflowError) as error:  # an unbalanced quote, a field that is no text
         raise DataError(f"{path}: cannot be read as CSV ({' '.join(str(error).split())})") from None
