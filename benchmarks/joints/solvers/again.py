@@ -120,10 +120,10 @@ def make_solve_kernel(
         types: For these rotors.
         make: Of ``MAKERS``.
     """
-    joints = joint_types(articulation.num_joints, None)
+    joints = joint_types(articulation.num_joints, None, types.vector)
     rotor_vector, vector, vehicle_type, held_type = types.vector, joints.vector, types.vehicle, joints.held
     drive_type, floating = vector_of(max(articulation.num_driven, 1)), articulation.tree.floating
-    way_in, way_back = make(articulation, types, joints, {})
+    way_in, way_back = make(articulation, types, joints, {}, {})
     base = _make_base(articulation, vehicle_type)
 
     @wp.func

@@ -26,15 +26,20 @@ from benchmarks.joints.solvers.rows import above, depths_of, factor_types, make_
 
 
 def make_factor(
-    articulation: Articulation, types: RotorTypes, joints: JointTypes, air: Mapping[int, wp.Function]
+    articulation: Articulation,
+    types: RotorTypes,
+    joints: JointTypes,
+    air: Mapping[int, wp.Function],
+    hubs: Mapping[int, wp.Function],
 ) -> tuple[wp.Function, wp.Function]:
     """Return the ways in and back, as ``make_recursion`` does; what is kept between them is the factor.
 
     Raises:
-        CapabilityError: If the air damps links: what it adds is not the inertia of a rigid body.
+        CapabilityError: If the air damps links: what it adds is not the inertia of a rigid body; or acts at hubs, for which a
+            link would have to know its place.
     """
-    if air:
-        raise CapabilityError("benchmarks: the factor of the mass matrix knows no effect 'link_drag'")
+    if air or hubs:
+        raise CapabilityError("benchmarks: the factor of the mass matrix knows no effects on links or at hubs")
     factor, vector, vehicle_type = factor_types(articulation), joints.vector, types.vehicle
     command_type, held_type = vector_of(max(articulation.num_driven, 1)), joints.held
     path_type = vector_of(max(depths_of(articulation)) + 1)
@@ -51,7 +56,7 @@ def make_factor(
     way_in, way_back = nothing_in, nothing_back
     for child in _children(articulation, 0):
         way_in, way_back = _beside_in(way_in, into[child]), _beside_back(way_back, out[child])
-    eliminate, base_rotors = make_elimination(articulation, factor), _make_rotors(articulation, 0, types)
+    eliminate, base_rotors = make_elimination(articulation, factor), _make_rotors(articulation, 0, types, joints, None)
     total = sum(masses[child] for child in _children(articulation, 0))
 
     @wp.func
@@ -73,7 +78,8 @@ def make_factor(
         carried.torque = whole.torque
         carried.force = whole.force
         left, eliminated = eliminate(carried, kept)
-        return base_rotors(vehicle, thrusts, drags, rotation, left), eliminated
+        none = wp.vec3()
+        return base_rotors(vehicle, held, thrusts, drags, rotation, none, none, none, left), eliminated
 
     @wp.func
     def all_back(kept: factor, turn: wp.vec3, push: wp.vec3) -> vector:
@@ -187,7 +193,7 @@ def _make_link(
     com = wp.vec3(*(articulation.link_com[k] - articulation.origins[k + 1]).tolist())  # from the origin of the link
     mass, inertia = float(articulation.link_mass[k]), wp.mat33(*articulation.link_inertia[k].flatten().tolist())
     has_mass, has_inertia = mass > 0.0, bool(articulation.link_inertia[k].any())
-    effort, rotors = make_effort(articulation, k, held_type), _make_rotors(articulation, k + 1, types)
+    effort, rotors = make_effort(articulation, k, held_type), _make_rotors(articulation, k + 1, types, joints, None)
     columns, depth = make_columns(articulation, k, factor), len(above(articulation, k))
     has_rotors = k + 1 in articulation.rotor_links
 
@@ -231,7 +237,8 @@ def _make_link(
             own.force = wp.static(mass) * (swung + wp.cross(bent, lump) + wp.cross(turn, move + wp.cross(turn, lump)))
             whole = together(whole, shifted(own, wp.static(mass), lump))
         if wp.static(has_rotors):
-            acting = rotors(vehicle, thrusts, drags, turned, Inertia())
+            none = wp.vec3()
+            acting = rotors(vehicle, held, thrusts, drags, turned, none, none, none, Inertia())
             whole.force += acting.force
             whole.torque += acting.torque
         acts, stiff = effort(q, vel[k], command, held, dt)

@@ -157,10 +157,12 @@ def test_solves_in_one_launch_depend_on_each_other() -> None:
     torch.testing.assert_close(both.joint_acc, second.joint_acc, rtol=1e-5, atol=1e-4)
 
 
-def test_a_factor_refuses_links_that_the_air_damps() -> None:
+@pytest.mark.parametrize("acting", [({0: None}, {}), ({}, {0: None})])
+def test_a_factor_refuses_what_the_air_does_to_links(acting: tuple[dict[int, None], dict[int, None]]) -> None:
     model = model_of(chain(2), 1, torch.device("cpu"))
-    with pytest.raises(CapabilityError, match="link_drag"):
-        MAKERS["factor"](bends_of(model), types_of(model), joint_types(2, None), {0: None})
+    types = types_of(model)
+    with pytest.raises(CapabilityError, match="no effects on links or at hubs"):
+        MAKERS["factor"](bends_of(model), types, joint_types(2, None, types.vector), *acting)
 
 
 @pytest.mark.slow
