@@ -15,6 +15,22 @@ class Inertia:
 
 
 @wp.func
+def symmetric(of: wp.mat33) -> wp.mat33:
+    """Return a symmetric matrix from its upper half, so that nothing is worked out twice."""
+    return wp.mat33(of[0, 0], of[0, 1], of[0, 2], of[0, 1], of[1, 1], of[1, 2], of[0, 2], of[1, 2], of[2, 2])
+
+
+@wp.func
+def crossed(lever: wp.vec3, of: wp.mat33) -> wp.mat33:
+    """Return ``skew(lever) of``: a product with that matrix would have zeros in it."""
+    return wp.matrix_from_cols(
+        wp.cross(lever, wp.vec3(of[0, 0], of[1, 0], of[2, 0])),
+        wp.cross(lever, wp.vec3(of[0, 1], of[1, 1], of[2, 1])),
+        wp.cross(lever, wp.vec3(of[0, 2], of[1, 2], of[2, 2])),
+    )
+
+
+@wp.func
 def plus(a: Inertia, b: Inertia) -> Inertia:
     """Return both together."""
     both = Inertia()
@@ -38,9 +54,8 @@ def inertia_of(mass: float, com: wp.vec3, about: wp.mat33, ang_vel: wp.vec3, lin
         lin_vel: Of its origin [m/s].
     """
     own = Inertia()
-    lever = wp.skew(com)
-    own.turn = about - mass * (lever * lever)
-    own.mixed = mass * lever
+    own.turn = symmetric(about + mass * (wp.length_sq(com) * wp.identity(n=3, dtype=float) - wp.outer(com, com)))
+    own.mixed = mass * wp.skew(com)
     own.push = mass * wp.identity(n=3, dtype=float)
     momentum = mass * (lin_vel + wp.cross(ang_vel, com))
     spin = own.turn * ang_vel + mass * wp.cross(com, lin_vel)
@@ -59,9 +74,9 @@ def com_of(own: Inertia) -> wp.vec3:
 def carry(of: Inertia, lever: wp.vec3) -> Inertia:
     """Return an inertia about another origin, from which the first one is ``lever`` away."""
     after = Inertia()
-    cross = wp.skew(lever)
-    after.mixed = of.mixed + cross * of.push
-    after.turn = of.turn + cross * wp.transpose(of.mixed) - after.mixed * cross
+    after.mixed = of.mixed + crossed(lever, of.push)
+    turned = of.turn + crossed(lever, wp.transpose(of.mixed))
+    after.turn = symmetric(turned + wp.transpose(crossed(lever, wp.transpose(after.mixed))))
     after.push = of.push
     after.torque = of.torque + wp.cross(lever, of.force)
     after.force = of.force
