@@ -65,6 +65,24 @@ def inertia_of(mass: float, com: wp.vec3, about: wp.mat33, ang_vel: wp.vec3, lin
 
 
 @wp.func
+def accelerated(own: Inertia, mass: float, com: wp.vec3, bend: wp.vec3, swing: wp.vec3) -> Inertia:
+    """Return that of one rigid link that accelerates by itself.
+
+    Args:
+        own: As ``inertia_of`` gives it.
+        mass: [kg].
+        com: Centre of mass from the link's origin [m].
+        bend: Angular acceleration [rad/s²].
+        swing: Acceleration of its origin [m/s²].
+    """
+    after = own
+    push = mass * (swing + wp.cross(bend, com))
+    after.torque += own.turn * bend + mass * wp.cross(com, swing)
+    after.force += push
+    return after
+
+
+@wp.func
 def com_of(own: Inertia) -> wp.vec3:
     """Return the centre of mass of one rigid link from its origin [m]."""
     return (1.0 / own.push[0, 0]) * wp.vec3(own.mixed[2, 1], own.mixed[0, 2], own.mixed[1, 0])

@@ -27,8 +27,9 @@ def damped_links(model: Model) -> tuple[int, ...]:
 
 def make_link_damping(model: Model, joints: JointTypes) -> dict[int, wp.Function]:
     """Return what the air does to each link that it damps: (inertia of the link, its axes to those of the base, its centre of
-    mass from its origin, angular velocity and velocity of its origin at the start of the step, what is held through the step,
-    dt) -> ``Inertia``. Vectors are in axes of the base.
+    mass from its origin, angular velocity and velocity of its origin at the start of the step, angular acceleration and
+    acceleration of its origin by turning and moving alone, what is held through the step, dt) -> ``Inertia``. Vectors are in
+    axes of the base.
 
     Beside the mass stands ``dt D``. The end of a step has ``-D (u + u' dt)`` with ``u' = R^T (a - weight + w x wind)``, where
     ``a`` is the spatial acceleration of the centre of mass that the recursion finds, weight in it: what is not of ``a`` is a
@@ -48,16 +49,18 @@ def _make_damping(model: Model, joints: JointTypes, link: int) -> wp.Function:
 
     @wp.func
     def link_damping(
-        own: Inertia, rotation: wp.mat33, com: wp.vec3, ang_vel: wp.vec3, lin_vel: wp.vec3, held: held_type, dt: float
-    ):
+        own: Inertia, rotation: wp.mat33, com: wp.vec3, ang_vel: wp.vec3, lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3,
+        held: held_type, dt: float,
+    ):  # fmt: skip
         back = wp.transpose(rotation)
         through = back * (lin_vel + wp.cross(ang_vel, com) - held.wind)
         turn = back * ang_vel
         damping = twin(wp.spatial_vector(through, turn), get(held.params))
         along = wp.spatial_top(damping)
         about = wp.spatial_bottom(damping)
-        force = rotation * wp.cw_mul(along, dt * (back * (held.weight - wp.cross(ang_vel, held.wind))) - through)
-        torque = -rotation * wp.cw_mul(about, turn)
+        change = held.weight - wp.cross(ang_vel, held.wind) - swing - wp.cross(bend, com)
+        force = rotation * wp.cw_mul(along, dt * (back * change) - through)
+        torque = -rotation * wp.cw_mul(about, turn + dt * (back * bend))
         push = dt * (rotation * wp.diag(along) * back)
         mixed = wp.skew(com) * push
         after = own

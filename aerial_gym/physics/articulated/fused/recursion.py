@@ -3,7 +3,8 @@
 All is in axes of the base at this instant, so that nothing is turned on the way from link to link, and each link's about its
 own origin: about one for all, the small inertia of a rod about itself would be a difference of large ones, and a thousandth off
 in float32 at the end of a snake. Each link is a function that calls those of the links it carries: an arm is eliminated into
-what carries it before the next one is looked at, and 19 numbers of each joint are kept for the way back. What
+what carries it before the next one is looked at, and 7 numbers of each joint are kept for the way back, 13 of one that carries
+others. How turning and moving alone accelerate a link is known on the way in, from the base on, and is part of its forces. What
 ``implicit_euler`` adds to the mass matrix stands on its diagonal, in the rows of the joints: it is added to each joint's own
 inertia.
 Topology, the shape of links and the laws in the joints are numbers in the code; mass and inertia of the base are read.
@@ -20,7 +21,7 @@ import warp as wp
 
 from aerial_gym.physics.articulated.articulation import Articulation
 from aerial_gym.physics.articulated.fused.efforts import held_of, make_effort
-from aerial_gym.physics.articulated.fused.inertia import Inertia, carry, inertia_of, plus
+from aerial_gym.physics.articulated.fused.inertia import Inertia, accelerated, carry, inertia_of, plus
 from aerial_gym.physics.fused.types import RotorTypes, vector_of
 
 
@@ -44,11 +45,9 @@ def joint_types(num_joints: int, params_type: Any, rotor_vector: Any) -> JointTy
     fields = {
         "free": vector,  # acceleration of the joint where its parent has none
         "by_turn": rows,  # less of it per angular acceleration of the parent
-        "by_push": rows,  # less of it per acceleration
+        "by_push": rows,  # less of it per acceleration of its origin
         "axis": rows,
         "lever": rows,  # origin of the link from that of its parent [m]
-        "bend": rows,  # acceleration by turning and moving alone: angular
-        "swing": rows,
     }
     struct = wp.struct(type("WayBack", (), {"__annotations__": fields, "__module__": __name__}))
     return JointTypes(vector, struct, held_of(num_joints, params_type, rotor_vector))
@@ -93,7 +92,7 @@ def make_recursion(
         rotation = wp.identity(n=3, dtype=float)
         carried, kept = way_in(
             vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, wp.vec3(), ang_vel_0, lin_vel, ang_vel,
-            lin_vel, dt, kept,
+            lin_vel, wp.vec3(), wp.vec3(), dt, kept,
         )  # fmt: skip
         carried = base_rotors(vehicle, held, thrusts, drags, rotation, wp.vec3(), ang_vel_0, lin_vel, carried)
         return carried, kept
@@ -125,7 +124,8 @@ def _make_nothing(types: RotorTypes, joints: JointTypes, command_type: Any) -> t
     def nothing_in(
         vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, command: command_type, held: held_type,
         thrusts: types.vector, drags: types.vector, rotation: wp.mat33, place: wp.vec3, ang_vel_0: wp.vec3,
-        lin_vel_0: wp.vec3, ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float, kept: back_type,
+        lin_vel_0: wp.vec3, ang_vel: wp.vec3, lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3, dt: float,
+        kept: back_type,
     ):  # fmt: skip
         return Inertia(), kept
 
@@ -141,15 +141,15 @@ def _beside_in(rest: wp.Function, one: wp.Function) -> wp.Function:
     def both_in(
         vehicle: Any, pos: Any, vel: Any, swing_vel: Any, command: Any, held: Any,
         thrusts: Any, drags: Any, rotation: wp.mat33, place: wp.vec3, ang_vel_0: wp.vec3, lin_vel_0: wp.vec3,
-        ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float, kept: Any,
+        ang_vel: wp.vec3, lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3, dt: float, kept: Any,
     ):  # fmt: skip
         first, kept_first = rest(
             vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, place, ang_vel_0, lin_vel_0, ang_vel,
-            lin_vel, dt, kept,
+            lin_vel, bend, swing, dt, kept,
         )  # fmt: skip
         second, kept_both = one(
             vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, place, ang_vel_0, lin_vel_0, ang_vel,
-            lin_vel, dt, kept_first,
+            lin_vel, bend, swing, dt, kept_first,
         )  # fmt: skip
         return plus(first, second), kept_both
 
@@ -174,12 +174,11 @@ def _make_back(k: int, revolute: bool, joints: JointTypes, carried: wp.Function)
         by_turn = wp.vec3(kept.by_turn[k, 0], kept.by_turn[k, 1], kept.by_turn[k, 2])
         by_push = wp.vec3(kept.by_push[k, 0], kept.by_push[k, 1], kept.by_push[k, 2])
         lever = wp.vec3(kept.lever[k, 0], kept.lever[k, 1], kept.lever[k, 2])
-        moved = push + wp.cross(turn, lever)
-        acc = kept.free[k] - wp.dot(by_turn, turn) - wp.dot(by_push, moved)
+        acc = kept.free[k] - wp.dot(by_turn, turn) - wp.dot(by_push, push)
         after[k] = acc
         axis = wp.vec3(kept.axis[k, 0], kept.axis[k, 1], kept.axis[k, 2])
-        own_turn = turn + wp.vec3(kept.bend[k, 0], kept.bend[k, 1], kept.bend[k, 2])
-        own_push = moved + wp.vec3(kept.swing[k, 0], kept.swing[k, 1], kept.swing[k, 2])
+        own_turn = turn
+        own_push = push + wp.cross(turn, lever)
         if wp.static(revolute):
             own_turn = own_turn + acc * axis
         else:
@@ -218,7 +217,8 @@ def _make_link(
         def link_in(
             vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, command: command_type, held: held_type,
             thrusts: types.vector, drags: types.vector, rotation: wp.mat33, place: wp.vec3, ang_vel_0: wp.vec3,
-            lin_vel_0: wp.vec3, ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float, kept: back_type,
+            lin_vel_0: wp.vec3, ang_vel: wp.vec3, lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3, dt: float,
+        kept: back_type,
         ):  # fmt: skip
             after = kept
             q = pos[k]
@@ -232,14 +232,15 @@ def _make_link(
                 lever = lever + axis * (q - wp.static(reference))
             turn = ang_vel
             move = lin_vel + wp.cross(ang_vel, lever)
-            bend = wp.vec3()
-            swing = rate * wp.cross(ang_vel, axis)
+            bent = bend
+            swung = swing + wp.cross(bend, lever)
             if wp.static(revolute):
                 turn = ang_vel + rate * axis
-                bend = swing
-                swing = rate * wp.cross(move, axis)
+                bent = bent + rate * wp.cross(ang_vel, axis)
+                swung = swung + rate * wp.cross(move, axis)
             else:
                 move = move + rate * axis
+                swung = swung + rate * wp.cross(ang_vel, axis)
             turn_0 = turn
             move_0 = move
             if wp.static(felt and ahead):  # what the air does is of the start of the step
@@ -252,16 +253,17 @@ def _make_link(
             origin = place + lever
             whole, after = carried(
                 vehicle, pos, vel, swing_vel, command, held, thrusts, drags, turned, origin, turn_0, move_0, turn, move,
-                dt, after,
+                bent, swung, dt, after,
             )  # fmt: skip
             if wp.static(has_mass):
                 about = wp.mat33()
                 if wp.static(has_inertia):
                     about = turned * inertia * wp.transpose(turned)
-                whole = plus(whole, inertia_of(wp.static(mass), turned * com, about, turn, move))
+                own = inertia_of(wp.static(mass), turned * com, about, turn, move)
+                whole = plus(whole, accelerated(own, wp.static(mass), turned * com, bent, swung))
             whole = rotors(vehicle, held, thrusts, drags, turned, origin, turn_0, move_0, whole)
             if wp.static(damped):
-                whole = in_air(whole, turned, turned * com, turn_0, move_0, held, dt)
+                whole = in_air(whole, turned, turned * com, turn_0, move_0, bent, swung, held, dt)
             acts, stiff = effort(q, vel[k], command, held, dt)
             if wp.static(revolute):
                 by_turn = whole.turn * axis
@@ -273,21 +275,20 @@ def _make_link(
                 by_push = whole.push * axis
                 inverse = 1.0 / (wp.dot(axis, by_push) + stiff)
                 left = acts - wp.dot(axis, whole.force)
-            free = inverse * (left - wp.dot(by_turn, bend) - wp.dot(by_push, swing))
+            free = inverse * left
             beyond = Inertia()
             beyond.turn = whole.turn - inverse * wp.outer(by_turn, by_turn)
             beyond.mixed = whole.mixed - inverse * wp.outer(by_turn, by_push)
             beyond.push = whole.push - inverse * wp.outer(by_push, by_push)
-            beyond.torque = whole.torque + whole.turn * bend + whole.mixed * swing + free * by_turn
-            beyond.force = whole.force + wp.transpose(whole.mixed) * bend + whole.push * swing + free * by_push
+            beyond.torque = whole.torque + free * by_turn
+            beyond.force = whole.force + free * by_push
             after.free[k] = free
+            by_turn += wp.cross(lever, by_push)  # about the origin of the parent
             for i in range(3):
                 after.by_turn[k, i] = inverse * by_turn[i]
                 after.by_push[k, i] = inverse * by_push[i]
                 after.axis[k, i] = axis[i]
                 after.lever[k, i] = lever[i]
-                after.bend[k, i] = bend[i]
-                after.swing[k, i] = swing[i]
             return carry(beyond, lever), after
 
         return link_in
