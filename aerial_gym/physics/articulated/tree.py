@@ -74,6 +74,10 @@ class Tree:
         """Number L of links, the base among them."""
         return len(self.joints) + 1
 
+    def children(self, link: int) -> tuple[int, ...]:
+        """Return the numbers of the joints that hang on a link."""
+        return tuple(k for k, joint in enumerate(self.joints) if joint.parent == link)
+
     @cached_property
     def moves(self) -> tuple[tuple[bool, ...], ...]:
         """Return of each link whether each joint moves it: L rows of D."""

@@ -11,6 +11,7 @@ Source: Featherstone (2008), Rigid Body Dynamics Algorithms, sections 6.2 (compo
 """
 
 from collections.abc import Mapping
+from functools import reduce
 from typing import Any
 
 import warp as wp
@@ -47,17 +48,20 @@ def make_factor(
     into: dict[int, wp.Function] = {}
     out: dict[int, wp.Function] = {}
     nothing_in, nothing_back = _make_nothing(types, joints, command_type, factor, path_type)
+
+    def carried_by(link: int) -> tuple[wp.Function, wp.Function]:
+        joints_on = articulation.tree.children(link)
+        if not joints_on:
+            return nothing_in, nothing_back
+        return reduce(_beside_in, [into[k] for k in joints_on]), reduce(_beside_back, [out[k] for k in joints_on])
+
     for k in reversed(range(articulation.num_joints)):  # links that are carried come later
-        carried, after = nothing_in, nothing_back
-        for child in _children(articulation, k + 1):
-            carried, after = _beside_in(carried, into[child]), _beside_back(after, out[child])
+        carried, after = carried_by(k + 1)
         into[k] = _make_link(articulation, k, types, joints, factor, masses[k], carried)
         out[k] = _make_back(k, depths_of(articulation)[k], after)
-    way_in, way_back = nothing_in, nothing_back
-    for child in _children(articulation, 0):
-        way_in, way_back = _beside_in(way_in, into[child]), _beside_back(way_back, out[child])
+    way_in, way_back = carried_by(0)
     eliminate, base_rotors = make_elimination(articulation, factor), _make_rotors(articulation, 0, types, joints, None)
-    total = sum(masses[child] for child in _children(articulation, 0))
+    total = sum(masses[child] for child in articulation.tree.children(0))
 
     @wp.func
     def all_in(
@@ -86,10 +90,6 @@ def make_factor(
         return way_back(kept, turn, push, path_type(), vector())
 
     return all_in, all_back
-
-
-def _children(articulation: Articulation, link: int) -> list[int]:
-    return [k for k, joint in enumerate(articulation.tree.joints) if joint.parent == link]
 
 
 def _carried_masses(articulation: Articulation) -> list[float]:
@@ -195,7 +195,7 @@ def _make_link(
     has_mass, has_inertia = mass > 0.0, bool(articulation.link_inertia[k].any())
     effort, rotors = make_effort(articulation, k, held_type), _make_rotors(articulation, k + 1, types, joints, None)
     columns, depth = make_columns(articulation, k, factor), len(above(articulation, k))
-    has_rotors = k + 1 in articulation.rotor_links
+    has_rotors, carries = k + 1 in articulation.rotor_links, bool(articulation.tree.children(k + 1))
 
     @wp.func
     def link_in(
@@ -235,7 +235,10 @@ def _make_link(
                 own.beside = wp.vec3(about[1, 2], about[0, 2], about[0, 1])
                 own.torque = turned_by(own, bent) + wp.cross(turn, turned_by(own, turn))
             own.force = wp.static(mass) * (swung + wp.cross(bent, lump) + wp.cross(turn, move + wp.cross(turn, lump)))
-            whole = together(whole, shifted(own, wp.static(mass), lump))
+            own = shifted(own, wp.static(mass), lump)
+            if wp.static(carries):
+                own = together(whole, own)
+            whole = own
         if wp.static(has_rotors):
             none = wp.vec3()
             acting = rotors(vehicle, held, thrusts, drags, turned, none, none, none, Inertia())

@@ -15,6 +15,7 @@ Source: Featherstone (2008), Rigid Body Dynamics Algorithms, section 7.3 (articu
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import warp as wp
@@ -107,12 +108,9 @@ def make_recursion(
 def _children(
     articulation: Articulation, link: int, functions: dict[int, wp.Function], nothing: wp.Function, way_in: bool
 ) -> wp.Function:
-    """Return the functions of all joints on a link as one."""
-    total = nothing
-    for k, joint in enumerate(articulation.tree.joints):
-        if joint.parent == link:
-            total = (_beside_in if way_in else _beside_back)(total, functions[k])
-    return total
+    """Return the functions of all joints on a link as one; compilers would add the zeros of ``nothing`` to others."""
+    carried = [functions[k] for k in articulation.tree.children(link)]
+    return reduce(_beside_in if way_in else _beside_back, carried) if carried else nothing
 
 
 def _make_nothing(types: RotorTypes, joints: JointTypes, command_type: Any) -> tuple[wp.Function, wp.Function]:
@@ -209,6 +207,7 @@ def _make_link(
     mass = float(articulation.link_mass[k])
     inertia = wp.mat33(*articulation.link_inertia[k].flatten().tolist())
     has_mass, has_inertia = mass > 0.0, bool(articulation.link_inertia[k].any())
+    carries = bool(articulation.tree.children(k + 1))
     effort = make_effort(articulation, k, held_type)
     rotors = _make_rotors(articulation, k + 1, types, joints, hubs.get(k + 1))
 
@@ -260,7 +259,10 @@ def _make_link(
                 if wp.static(has_inertia):
                     about = turned * inertia * wp.transpose(turned)
                 own = inertia_of(wp.static(mass), turned * com, about, turn, move)
-                whole = plus(whole, accelerated(own, wp.static(mass), turned * com, bent, swung))
+                own = accelerated(own, wp.static(mass), turned * com, bent, swung)
+                if wp.static(carries):
+                    own = plus(whole, own)
+                whole = own
             whole = rotors(vehicle, held, thrusts, drags, turned, origin, turn_0, move_0, whole)
             if wp.static(damped):
                 whole = in_air(whole, turned, turned * com, turn_0, move_0, bent, swung, held, dt)
