@@ -13,7 +13,14 @@ from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand import figures
 from aerial_gym.sim2real.teststand.balance import Balance, Change, HoverEffort, hover_effort, judge_balance
 from aerial_gym.sim2real.teststand.hover import fit_hover
-from aerial_gym.sim2real.teststand.joints.record import ALTERNATE_S, PUBLISHED, fit_joint, release_record, spans
+from aerial_gym.sim2real.teststand.joints.record import (
+    ALTERNATE_S,
+    PUBLISHED,
+    creep_elements,
+    fit_joint,
+    release_record,
+    spans,
+)
 from aerial_gym.sim2real.teststand.report import Study, Table, rotor_files
 from aerial_gym.sim2real.teststand.static import Choice, StaticFit, fit_static
 from aerial_gym.sim2real.teststand.statistics import Estimate, rms
@@ -228,8 +235,7 @@ def study_joint(bench: Bench, *, release: float = 0.0) -> Study:
     )
     params = [(name, interval(value)) for name, value in best.params.items()]
     units = "release, time [s]; stiffness [1/s²], damping [1/s] per inertia of the joint; rest [rad]"
-    law_text = "\n".join([f"# {study.chosen}: {units}", "joint:", f"  law: {study.chosen!r}"])
-    law_text += "".join(f"\n  {name}: {value.value!r}" for name, value in best.params.items() if name != "release")
+    law_text = f"# {study.chosen}: {units}\n" + joint_text(study.chosen, {n: p.value for n, p in best.params.items()})
     change_text = change(published["rms"], rms(best.held_out))
     early = change(published["rms_first_second"], spans(record.time, best.held_out)["rms_first_second"])
     return Study(
@@ -248,6 +254,17 @@ def study_joint(bench: Bench, *, release: float = 0.0) -> Study:
         ),
         files={"joint.yaml": f"{law_text}\n  source: 'aerial-gym identify joint: {Path(bench.path).name}'\n"},
     )
+
+
+def joint_text(law: str, params: Mapping[str, float]) -> str:
+    """Return the law of a joint as YAML, creep as elements: their stiffness times an inertia is that of a robot file."""
+    lines = ["joint:", f"  law: {law!r}"]
+    lines += [f"  {name}: {value!r}" for name, value in params.items() if name != "release"]
+    stiffness, times = creep_elements(params)
+    elements = [f"{{stiffness: {k:.6g}, time: {t:.6g}}}" for k, t in zip(stiffness, times, strict=True)]
+    if elements:
+        lines.append(f"  elements: [{', '.join(elements)}] # times an inertia: spring.creep of a robot file")
+    return "\n".join(lines)
 
 
 def _angles(found: dict[str, float]) -> tuple[str, str, str]:

@@ -3,6 +3,7 @@
 Everything is per unit of the joint's inertia. Letters: T rows, N creep elements, K parameters.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -210,7 +211,7 @@ def joint_angle(record: Release, params: dict[str, float]) -> Array:
     return params["rest"] + (np.exp(since[:, None] * rates) * amounts).sum(axis=1).real
 
 
-def creep_elements(params: dict[str, float]) -> tuple[Array, Array]:
+def creep_elements(params: Mapping[str, float]) -> tuple[Array, Array]:
     """Return stiffness k_i [1/s²] and time T_i [s] of the creep elements of a law, (N,) each.
 
     A power law of creep stands for a material that relaxes at all times alike, ``k_i = creep (T_i / 1 s)^-exponent``.

@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.special import gamma
 
 from aerial_gym.cli.main import main
 from aerial_gym.config import load
+from aerial_gym.config.joint import CreepCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg, RotorCfg
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.logs.recording import FlightLog
@@ -29,7 +31,7 @@ from aerial_gym.sim2real.teststand.joints.record import (
 from aerial_gym.sim2real.teststand.static import StaticFit, fit_static
 from aerial_gym.sim2real.teststand.statistics import correlated_covariance, estimates, independent_covariance
 from aerial_gym.sim2real.teststand.step import fit_steps, lag_error, simulate, step_record
-from aerial_gym.sim2real.teststand.studies import rotor_changes
+from aerial_gym.sim2real.teststand.studies import joint_text, rotor_changes
 from aerial_gym.sim2real.teststand.tables import read_columns
 
 Array = NDArray[np.float64]
@@ -304,6 +306,16 @@ def test_elements_of_a_power_law_relax_by_a_power() -> None:
     time = np.array([0.01, 0.03, 0.1, 0.3, 1.0])
     relaxed = (stiffness * np.exp(-time[:, None] / times)).sum(1)
     np.testing.assert_allclose(np.diff(relaxed), np.diff(amount * gamma(exponent) * time**-exponent / step), rtol=2e-3)
+
+
+def test_a_joint_file_lists_the_elements_that_a_robot_file_has() -> None:
+    power = {"stiffness": 1000.0, "damping": 60.0, "rest": 0.1, "creep": 400.0, "exponent": 0.43, "release": 0.002}
+    written = yaml.safe_load(joint_text("linear spring, power-law creep", power))["joint"]
+    assert "release" not in written
+    assert written["creep"] == 400.0
+    creep = SpringCfg(stiffness=1.0, creep=tuple(CreepCfg(**element) for element in written["elements"])).creep
+    np.testing.assert_allclose([one.stiffness for one in creep], creep_elements(power)[0], rtol=1e-5)
+    assert "elements" not in joint_text("linear spring", {"stiffness": 1000.0, "damping": 60.0, "rest": 0.1})
 
 
 def test_what_is_held_out_of_alternate_blocks_does_not_change_its_prediction() -> None:
