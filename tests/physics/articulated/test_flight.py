@@ -204,7 +204,7 @@ def test_an_arm_on_a_stand_falls_back_by_the_published_law() -> None:
     assert float(state.position.norm() + state.ang_vel.norm()) == 0.0  # the stand holds
 
 
-def build(robot: str | RobotCfg, *, sim: str | SimCfg = "base_sim_2ms", differentiable: bool = False) -> EnvManager:
+def build(robot: str | RobotCfg, *, sim: str | SimCfg = "base_sim_2ms") -> EnvManager:
     return SimBuilder().build_env(
         sim_name=sim,
         env_name="empty_env_2ms",
@@ -213,7 +213,6 @@ def build(robot: str | RobotCfg, *, sim: str | SimCfg = "base_sim_2ms", differen
         num_envs=3,
         device="cpu",
         seed=0,
-        differentiable=differentiable,
     )
 
 
@@ -264,8 +263,6 @@ def test_what_a_bending_vehicle_cannot_have_is_refused_by_name() -> None:
         build(replace(ROBOTS.get("morphy"), effects=spring, effects_source="test"))
     with pytest.raises(CapabilityError, match="no integrator 'rk4'"):
         build("morphy", sim=replace(SIMS.get("base_sim_2ms"), integrator="rk4"))
-    with pytest.raises(CapabilityError, match="no gradients"):
-        build("morphy", differentiable=True)
 
 
 @pytest.mark.slow
