@@ -96,16 +96,23 @@ def _make_hub_at(num_rotors: int, general: bool, upright: bool) -> wp.Function:
     return hub_at
 
 
-def make_wind(model: Model) -> wp.Function:
+Acts = Callable[[Effect], bool] | None
+"""Which effects act; None: all."""
+
+
+def _chosen(model: Model, kind: type[Effect], acts: Acts) -> list[tuple[Any, wp.Function]]:
+    """Return the effects of a kind that act, each with the function to its numbers among those of all effects."""
+    each = zip(model.effects[kind], pickers(model)[kind], strict=True)
+    return [(effect, pick.get) for (effect, _), pick in each if acts is None or acts(effect)]
+
+
+def make_wind(model: Model, acts: Acts = None) -> wp.Function:
     """Return a function to the velocity of the air [m/s], world: (position [m], world, values of all effects)."""
-    twins = [effect.warp_wind() for effect, _ in model.effects[WindEffect]]
-    winds = [(twin, pick.get) for twin, pick in zip(twins, pickers(model)[WindEffect], strict=True)]
+    winds = [(effect.warp_wind(), get) for effect, get in _chosen(model, WindEffect, acts)]
     return _sum_of(winds, wp.vec3, values_type(model), wp.vec3)
 
 
-def make_loads(
-    model: Model, *, upright: bool, num_rotors: int | None = None, acts: Callable[[Effect], bool] | None = None
-) -> wp.Function:
+def make_loads(model: Model, *, upright: bool, num_rotors: int | None = None, acts: Acts = None) -> wp.Function:
     """Return a function to thrusts [N] and drag torques [N m] of the rotors, force and torque of the effects on the whole about
     the centre of mass, body, and the condition that they saw: ``rigid_body.acting_in`` for one environment.
 
@@ -118,16 +125,10 @@ def make_loads(
     num_rotors, general = model.vehicle.num_rotors if num_rotors is None else num_rotors, not model.vehicle.plain
     types = rotor_types(num_rotors, general)
     thrust_of, torque_of = make_maps(types.vehicle)
-    params_type, picks = values_type(model), pickers(model)
-
-    def chosen(kind: type[Effect]) -> list[tuple[Any, wp.Function]]:
-        each = zip(model.effects[kind], picks[kind], strict=True)
-        return [(effect, pick.get) for (effect, _), pick in each if acts is None or acts(effect)]
-
-    rotors = [(effect.warp_thrust(types.condition, Hub), get) for effect, get in chosen(RotorEffect)]
-    wrenches = [(effect.warp_wrench(types.condition), get) for effect, get in chosen(WrenchEffect)]
-    any_rotor, any_wrench, any_fluid = bool(rotors), bool(wrenches), bool(chosen(FluidEffect))
-    wind = _sum_of([(effect.warp_wind(), get) for effect, get in chosen(WindEffect)], wp.vec3, params_type, wp.vec3)
+    params_type, wind = values_type(model), make_wind(model, acts)
+    rotors = [(one.warp_thrust(types.condition, Hub), get) for one, get in _chosen(model, RotorEffect, acts)]
+    wrenches = [(one.warp_wrench(types.condition), get) for one, get in _chosen(model, WrenchEffect, acts)]
+    any_rotor, any_wrench, any_fluid = bool(rotors), bool(wrenches), bool(_chosen(model, FluidEffect, acts))
     gain = _sum_of_rotors(rotors, types.condition, params_type)
     wrench = _sum_of(wrenches, types.condition, params_type, wp.spatial_vector)
     vehicle_type, vector, condition_type = types.vehicle, types.vector, types.condition

@@ -1,6 +1,5 @@
 """Gradients through simulations of vehicles that bend: from actions, over several steps, to joints and base."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -10,6 +9,7 @@ from torch import Tensor
 from aerial_gym import ENVIRONMENTS, EnvManager, SimBuilder
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.robots import ROBOTS
+from tests.unit.env_manager.test_differentiable import flown
 
 F64 = torch.float64
 STEPS, NUM_ENVS = 3, 2
@@ -51,23 +51,6 @@ def bent(name: str, *, friction: float = 0.0, **changes: object) -> RobotCfg:
         for joint in robot.joints.layout
     )
     return replace(robot, joints=replace(robot.joints, layout=layout), **changes)  # type: ignore[arg-type]
-
-
-def flown(env: EnvManager) -> Callable[[Tensor], Tensor]:
-    """Return a function from actions (T, E, U) to a number that depends on all states of a flight from the same start."""
-
-    def loss(actions: Tensor) -> Tensor:
-        env.restart(3)
-        env.reset()
-        total = actions.new_zeros(())
-        for action in actions:
-            env.step(action)
-            for i, rows in enumerate(env.traced.values()):
-                rows = rows.flatten(1)
-                total = total + (rows * torch.arange(1.0 + i, rows.shape[1] + 1.0 + i, dtype=rows.dtype).cos()).sum()
-        return total
-
-    return loss
 
 
 def actions_of(env: EnvManager, low: float, high: float) -> Tensor:

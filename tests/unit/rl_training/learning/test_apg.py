@@ -153,8 +153,8 @@ def test_a_row_that_goes_astray_teaches_nothing() -> None:
         assert not torch.equal(training.learner.network.actor.head.weight, before)
 
 
-def test_a_policy_learns_through_joints() -> None:
-    """The gradient of a window is finite and not 0, also in what the network makes of angles and rates of joints."""
+def test_what_a_policy_makes_of_joints_has_a_gradient() -> None:
+    """Of a window, finite and not 0 in each weight of an angle or a rate; that it is right, the tests of the task say."""
     cfg = replace(settings(2, horizon=3), task="position_setpoint_task_morphy")
     with task_registry.make_task(cfg.task, num_envs=2, device="cpu", differentiable=True) as task:
         learner = make_training(cfg, task).learner
