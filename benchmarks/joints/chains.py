@@ -31,6 +31,7 @@ from aerial_gym.benchmarks.output import device_name, print_figures, provenance
 from aerial_gym.config.joint import BASE, JointCfg, JointsCfg, LinkCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
+from aerial_gym.errors import AerialGymError, ConfigError
 from aerial_gym.interop import compile_ahead, on_torch_stream, start_warp, wait_for
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import vehicle_from_config
@@ -114,6 +115,8 @@ class Chains:
         start_warp()
         torch.set_num_threads(1)
         device = torch.device(self.device)
+        if rigid := [name for name in self.robots if ROBOTS.get(name).joints is None]:
+            raise ConfigError(f"--robots {' '.join(rigid)}: no joints. Take morphy, snakey or another robot that bends")
         vehicles = {f"chain of {n}": chain(n) for n in self.joints} | {name: ROBOTS.get(name) for name in self.robots}
         each = [
             [make(name, robot, way, self, device) for way in MAKERS]
@@ -304,4 +307,8 @@ def _size(contender: Contender, device: torch.device, arch: int) -> dict[str, An
 
 
 if __name__ == "__main__":
-    tyro.cli(Chains).run()
+    try:
+        tyro.cli(Chains).run()
+    except AerialGymError as error:
+        print(f"chains: {error}", file=sys.stderr)
+        sys.exit(2)
