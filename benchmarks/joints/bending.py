@@ -15,6 +15,7 @@ import torch
 import tyro
 
 from aerial_gym.benchmarks.flight import make_flight
+from aerial_gym.interop import resolve_device
 from aerial_gym.physics.articulated.articulation import articulation_of
 from aerial_gym.physics.articulated.tree import Links
 from aerial_gym.physics.mujoco.mjcf import write_mjcf
@@ -61,7 +62,7 @@ class Bending:
                         self._one(robot, engine, num_envs, substeps)
 
     def _one(self, robot: str, engine: str, num_envs: int, substeps: int) -> None:
-        device = torch.device(self.device)
+        device = resolve_device(self.device)
         where, steps, run = _MAKERS[engine](robot, num_envs, substeps, device)
         found = {"engine": engine, "robot": robot, "device": where, "num_envs": num_envs, "substeps": substeps}
         figures = _measure(run, steps * num_envs, self.seconds, cuda=device.type == "cuda" and engine != "mujoco")

@@ -32,7 +32,7 @@ from aerial_gym.config.joint import BASE, JointCfg, JointsCfg, LinkCfg, SpringCf
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.errors import AerialGymError, ConfigError
-from aerial_gym.interop import compile_ahead, on_torch_stream, start_warp, wait_for
+from aerial_gym.interop import compile_ahead, on_torch_stream, resolve_device, start_warp, wait_for
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.articulated.articulation import articulation_of
@@ -114,7 +114,7 @@ class Chains:
         """Measure and print."""
         start_warp()
         torch.set_num_threads(1)
-        device = torch.device(self.device)
+        device = resolve_device(self.device)
         if rigid := [name for name in self.robots if ROBOTS.get(name).joints is None]:
             raise ConfigError(f"--robots {' '.join(rigid)}: no joints. Take morphy, snakey or another robot that bends")
         vehicles = {f"chain of {n}": chain(n) for n in self.joints} | {name: ROBOTS.get(name) for name in self.robots}

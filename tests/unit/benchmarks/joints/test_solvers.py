@@ -13,7 +13,7 @@ from torch import Tensor
 
 from aerial_gym.config.joint import BASE, JointCfg, JointsCfg, LinkCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.errors import CapabilityError
+from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.interop import start_warp
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics.articulated.dynamics import equations, solve
@@ -177,3 +177,10 @@ def test_steps_with_either_are_the_same(robot: str) -> None:
         one.run()
         ends.append(one.found)
     torch.testing.assert_close(ends[0], ends[1], rtol=1e-3, atol=1e-3)
+
+
+def test_device_is_asked_for_by_the_names_of_every_command() -> None:
+    """``auto`` and ``cuda`` name a device by kind alone; a GPU that is not there is refused in a sentence."""
+    with pytest.raises(ConfigError, match="auto, cpu, cuda or cuda:N"):
+        Chains(device="graphics").run()
+    Chains(device="auto", joints=(), robots=()).run()
