@@ -152,14 +152,16 @@ def check_rotors(effect: Effect | type[Effect], traits: Set[str]) -> None:
 
 def check_joints(effect: Effect | type[Effect], *, bends: bool) -> None:
     """Raise ``ConfigError`` if a vehicle that bends, or one that does not, cannot have an effect (``docs/joints.md``)."""
+    others = " or ".join(", ".join(effect.instead).rsplit(", ", 1))
     if not bends and not effect.on_rigid:
+        way_out = f"Give it {others}, or joints" if others else "Give it joints"
         raise ConfigError(
-            f"effect {effect.name}: is of the links of a vehicle with joints, and this one is rigid. Give it rotor_drag, "
-            "quadratic_drag or hull_drag, or joints"
+            f"effect {effect.name}: is of the links of a vehicle with joints, and this one is rigid. {way_out}"
         )
     if bends and not effect.on_joints:
+        way_out = f"Give it {others}" if others else "Leave the effect out"
         raise ConfigError(
-            f"effect {effect.name}: is for rigid vehicles, and this one has joints. Leave the effect out, or the joints"
+            f"effect {effect.name}: is for rigid vehicles, and this one has joints. {way_out}, or no joints"
         )
 
 

@@ -93,10 +93,13 @@ def test_with_a_vehicle_of_its_own_in_each_environment(robot: str) -> None:
     assert_rows_alike(ROBOTS.get(robot), "rotor_speed_control", torch.float32, adjust=scale_by_env)
 
 
+ON_LINKS = {"link_drag": {"qx": 0.002, "ax": 0.001}, "link_buoyancy": {"force": 0.1, "x": 0.01}}
+
+
 @pytest.mark.parametrize("robot", ["morphy_creeping", "snakey6_effort"])
 def test_of_vehicles_that_bend(robot: str) -> None:
-    """With drag of their links: products of matrices sum in other orders for one environment, and where all share a matrix."""
-    cfg = replace(ROBOTS.get(robot), effects={"link_drag": {"qx": 0.002, "ax": 0.001}}, effects_source="test")
+    """With effects on links: products of matrices sum in other orders for one environment, and where all share a matrix."""
+    cfg = replace(ROBOTS.get(robot), effects=ON_LINKS, effects_source="test")
     gen, ends = torch.Generator().manual_seed(2), {}
     drawn = torch.rand(BENDING, 60, generator=gen) - 0.5
     for count in (BENDING, 1, 3, 65):

@@ -46,10 +46,11 @@ def with_drag(name: str, drag: dict[str, float]) -> RobotCfg:
 
 
 def rows_of(robot: RobotCfg, others: tuple[str, ...], dtype: torch.dtype) -> list[EffectParams]:
-    """Return drag and other effects, each environment with numbers of its own."""
-    each = torch.linspace(0.5, 1.5, NUM_ENVS, dtype=dtype).unsqueeze(1)
-    law = EFFECTS.get("link_drag").of(robot)
-    rows: list[EffectParams] = [(law, each * torch.tensor(law.params_from(robot.effects["link_drag"]), dtype=dtype))]
+    """Return effects of the robot and others, each environment with numbers of its own."""
+    each, rows = torch.linspace(0.5, 1.5, NUM_ENVS, dtype=dtype).unsqueeze(1), []
+    for name, values in robot.effects.items():
+        law = EFFECTS.get(name).of(robot)
+        rows.append((law, each * torch.tensor(law.params_from(values), dtype=dtype)))
     for name in others:
         effect = EFFECTS.get(name)
         row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]

@@ -2,8 +2,8 @@
 
 Each rotor pushes the link that it sits on, and what effects at hubs make of it (``Effect.at_hubs``) acts there, by place and
 motion of that link. Effects on the whole act on the base, at the centre of mass and with the geometry of the reference pose;
-effects on links (``LinkEffect``) on each link where it is, by its own motion. Wind is that at the vehicle's centre of mass in
-the reference pose, for all of them.
+effects on links (``effects.on_links``) on each link where it is, by its own motion. Wind is that at the vehicle's centre of
+mass in the reference pose, for all of them.
 Letters: E environments, R rotors, D joints, L links, C joints with a drive.
 """
 
@@ -21,7 +21,7 @@ from aerial_gym.physics.articulated.motion import move_links, place_links, turn_
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Links, TreeState
 from aerial_gym.physics.backend import Capabilities
-from aerial_gym.physics.effects import LinkEffect, WrenchEffect
+from aerial_gym.physics.effects import LinkEffect, LinkWrenchEffect, WrenchEffect
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rigid_body import acting_in, air_velocity, condition_in
@@ -113,7 +113,22 @@ def link_wrenches(
             push, twist = wrench[:, :3], wrench[:, 3:] + torch.linalg.cross(vehicle.com, wrench[:, :3])
             on_base = torch.cat((push, twist), dim=-1).unsqueeze(1)
             on_links = on_links + torch.nn.functional.pad(on_base, (0, 0, 0, articulation.num_joints))
+    if model.effects[LinkWrenchEffect]:
+        on_links = on_links + _of_links(model, articulation, state)
     return on_links
+
+
+def _of_links(model: Model, articulation: Articulation, state: TreeState) -> Tensor:
+    """Return what effects on links do to each as ``link_wrenches``, (E, L, 6); arguments as there."""
+    links = articulation.links(model.vehicle)
+    places = place_links(articulation.tree, links, state.joint_pos)
+    up = torch.zeros_like(state.position)
+    up[:, 2] = 1.0
+    own = (places.rotation.mT @ quat_rotate_inverse(state.attitude, up)[:, None, :, None]).squeeze(-1)
+    first, *others = (effect.wrench(own, params) for effect, params in model.effects[LinkWrenchEffect])
+    force, torque = sum(others, first).split(3, dim=-1)
+    wrench = torch.cat((force, torque + torch.linalg.cross(links.com.expand_as(force), force)), dim=-1)
+    return torch.where(links.mass.unsqueeze(-1) > 0.0, wrench, 0.0)
 
 
 def _at_hubs(

@@ -241,10 +241,10 @@ class Suspension:
 class Effect(ABC):
     """A named physical effect. Subclasses say where they act.
 
-    ``VehicleEffect``, ``WindEffect``, ``RotorEffect``, ``WrenchEffect``, ``FluidEffect``, ``LinkEffect``, ``LoadEffect``,
-    ``DelayEffect``, ``CommandEffect``, ``ImuEffect``, ``RotorSensorEffect``. An effect on the wind, rotors, wrench or command
-    may remember M numbers of each environment: the backend keeps them, and passes them behind the parameters wherever it calls
-    the effect, (E, P + M).
+    ``VehicleEffect``, ``WindEffect``, ``RotorEffect``, ``WrenchEffect``, ``FluidEffect``, ``LoadEffect``, ``DelayEffect``,
+    ``CommandEffect``, ``ImuEffect``, ``RotorSensorEffect``, and those of ``on_links``. An effect on the wind, rotors, wrench or
+    command may remember M numbers of each environment: the backend keeps them, and passes them behind the parameters wherever
+    it calls the effect, (E, P + M).
     """
 
     kind: ClassVar[type["Effect"]]
@@ -283,6 +283,8 @@ class Effect(ABC):
     """Whether a vehicle that bends can have it: unless it is at hubs, at its base, with the geometry of its reference pose."""
     on_rigid: ClassVar[bool] = True
     """Whether a vehicle without joints can have it, and so whatever takes a vehicle as rigid in its reference pose."""
+    instead: ClassVar[tuple[str, ...]] = ()
+    """What vehicles that cannot have it, with joints or without, can have in its place."""
     medium: ClassVar[Literal["air", "water"]] = "air"
     """In what it matters; flights are in air."""
     random: ClassVar[bool] = False
@@ -527,42 +529,6 @@ class FluidEffect(Effect):
             A ``wp.func`` (wrench: wp.spatial_vector, condition, mass [kg], gravity, params: vector of P) -> wp.spatial_vector.
         """
         del condition
-        return None
-
-
-class LinkEffect(Effect):
-    """A damping of each link of a vehicle that bends, by its motion through the air. A vehicle has one at most.
-
-    The force on a link at its centre of mass is ``-D_i u_i`` per axis of the link, u its velocity through the air, and the
-    torque likewise by its angular velocity. The engine takes u at the end of a step and D at its start, so that no D is too
-    large for a step. Links without mass feel nothing.
-    """
-
-    acts_on = "wrench"
-    twin = "warp_damping"
-    rotors = ANY_ROTOR
-    on_rigid = False
-
-    @abstractmethod
-    def damping(self, velocity: Tensor, params: Tensor) -> Tensor:
-        """Return D of every link [N s/m, N m s/rad], at least 0, (E, L, 6).
-
-        Args:
-            velocity: Of the centres of mass of the links through the air [m/s] and their angular velocity [rad/s], axes of
-                each link, (E, L, 6); the base is the first link.
-            params: (E, P).
-        """
-
-    def warp_damping(self, link: int) -> wp.Function | None:
-        """Return the twin of ``damping`` for one link, or None: the effect does nothing to it.
-
-        Args:
-            link: Its number; 0 is the base.
-
-        Returns:
-            A ``wp.func`` (velocity: wp.spatial_vector, params: vector of P) -> D, ``wp.spatial_vector``.
-        """
-        del link
         return None
 
 

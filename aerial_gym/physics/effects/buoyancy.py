@@ -11,7 +11,6 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, Parameter, WrenchEffect
-from aerial_gym.physics.fused.functions import rotate_inverse
 
 
 class Buoyancy(WrenchEffect):
@@ -40,15 +39,29 @@ class Buoyancy(WrenchEffect):
 
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
         """Return ``F up`` and ``(b - c) x F up``."""
-        force = params[:, :1] * condition.up
-        return torch.cat((force, torch.linalg.cross(params[:, 1:] - condition.vehicle.com, force)), dim=-1)
+        return buoyant(params[:, :1], params[:, 1:] - condition.vehicle.com, condition.up)
 
     def warp_wrench(self, condition: type) -> wp.Function:
         """Return the same in Warp."""
 
         @wp.func
         def buoyancy(at: condition, p: wp.vec4) -> wp.spatial_vector:
-            force = rotate_inverse(at.attitude, wp.vec3(0.0, 0.0, p[0]))
-            return wp.spatial_vector(force, wp.cross(wp.vec3(p[1], p[2], p[3]) - at.com, force))
+            return warp_buoyant(p[0], wp.vec3(p[1], p[2], p[3]) - at.com, at.up)
 
         return buoyancy
+
+
+def buoyant(force: Tensor, lever: Tensor, up: Tensor) -> Tensor:
+    """Return force [N] and torque [N m], (..., 6), of an upward force [N], (..., 1).
+
+    It acts at a lever [m] from the centre of mass; that and world z are in axes of the body, (..., 3).
+    """
+    push = force * up
+    return torch.cat((push, torch.linalg.cross(lever, push)), dim=-1)
+
+
+@wp.func
+def warp_buoyant(force: float, lever: wp.vec3, up: wp.vec3) -> wp.spatial_vector:
+    """Return the same in Warp."""
+    push = force * up
+    return wp.spatial_vector(push, wp.cross(lever, push))

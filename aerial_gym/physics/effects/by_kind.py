@@ -14,12 +14,12 @@ from aerial_gym.physics.effects.base import (
     DelayEffect,
     Effect,
     FluidEffect,
-    LinkEffect,
     LoadEffect,
     RotorEffect,
     WindEffect,
     WrenchEffect,
 )
+from aerial_gym.physics.effects.on_links import LinkEffect, LinkWrenchEffect
 
 EffectParams = tuple[Effect, Tensor]
 """An effect and its parameters, (E, P)."""
@@ -29,6 +29,7 @@ STEP_KINDS: tuple[type[Effect], ...] = (
     RotorEffect,
     WrenchEffect,
     FluidEffect,
+    LinkWrenchEffect,
     LinkEffect,
     CommandEffect,
     DelayEffect,

@@ -47,6 +47,7 @@ for _name, _class in (
     ("buoyancy", "Buoyancy"),
     ("hull_drag", "HullDrag"),
     ("link_drag", "LinkDrag"),
+    ("link_buoyancy", "LinkBuoyancy"),
     ("added_mass", "AddedMass"),
     ("added_inertia", "AddedInertia"),
     ("imu_bias", "ImuBias"),

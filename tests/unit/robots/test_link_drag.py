@@ -50,9 +50,8 @@ def test_what_takes_it_as_rigid_leaves_drag_of_links_out(dragged: RobotCfg) -> N
 def test_the_loop_lists_it_as_not_testable_and_keeps_it(dragged: RobotCfg) -> None:
     selection, air = SimpleNamespace(not_testable={}, accepted=()), SimpleNamespace(wind=SimpleNamespace(untestable=""))
     told = not_testable(selection, dragged, air)  # type: ignore[arg-type]
-    assert told == {
-        "link_drag": "acts on links where they are, and the vehicle is taken as rigid in its reference pose here"
-    }
+    words = "acts on links where they are, and the vehicle is taken as rigid in its reference pose here"
+    assert told == dict.fromkeys(("link_drag", "link_buoyancy"), words)
     assert not_testable(selection, ROBOTS.get("tinyprop"), air) == {}  # type: ignore[arg-type]
     declared = SimpleNamespace(
         robot=dragged, stated=dragged, train=SimpleNamespace(flights=[SimpleNamespace(name="f")])

@@ -14,7 +14,7 @@ from aerial_gym.physics.articulated.articulation import Articulation
 from aerial_gym.physics.articulated.fused.efforts import make_beyond, make_creep, make_slips
 from aerial_gym.physics.articulated.fused.hubs import blown_links, make_hubs
 from aerial_gym.physics.articulated.fused.inertia import Inertia, com_of, inertia_of, plus
-from aerial_gym.physics.articulated.fused.link_damping import damped_links, make_link_damping
+from aerial_gym.physics.articulated.fused.on_links import make_on_links, touched_links
 from aerial_gym.physics.articulated.fused.recursion import joint_types, make_recursion
 from aerial_gym.physics.effects import DelayEffect, WrenchEffect
 from aerial_gym.physics.fused.command import make_command
@@ -94,7 +94,7 @@ def make_jointed_kernel(
     articulation = model.articulation
     assert articulation is not None
     num_rotors, (num_params, num_memory) = model.vehicle.num_rotors, num_values(model)
-    in_air = bool(damped_links(model) or blown_links(model))
+    in_air = bool(touched_links(model) or blown_links(model))
     general, types = not model.vehicle.plain, types_of(model)
     joints = joint_types(articulation.num_joints, values_type(model) if in_air else None, types.vector)
     vector, params_type, joint_vector = types.vector, values_type(model), joints.vector
@@ -113,7 +113,7 @@ def make_jointed_kernel(
     follow_rotors = make_follow(num_rotors, general, late)
     loads = make_loads(model, upright=model.vehicle.upright, acts=lambda effect: not effect.at_hubs)
     any_wrench = any(not effect.at_hubs for effect, _ in model.effects[WrenchEffect])
-    air, hubs = make_link_damping(model, joints), make_hubs(model, joints)
+    air, hubs = make_on_links(model, joints), make_hubs(model, joints)
     way_in, way_back = make_recursion(articulation, types, joints, air, hubs)
     base_in_air, wind = air.get(0), make_wind(model) if in_air else None
     base, floating = _make_base(articulation, vehicle_type), articulation.tree.floating

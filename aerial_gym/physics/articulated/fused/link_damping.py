@@ -1,7 +1,4 @@
-"""What the air does to a link in a step, for one environment: ``articulated.link_damping`` in Warp.
-
-The recursion calls it where it comes by the link, with the motion of the link at the start of the step.
-"""
+"""What damps a link in a step, for one environment: ``articulated.link_damping`` in Warp, of the start of the step."""
 
 import warp as wp
 
@@ -12,46 +9,29 @@ from aerial_gym.physics.fused.packing import pickers
 from aerial_gym.physics.model import Model
 
 
-def damped_links(model: Model) -> tuple[int, ...]:
-    """Return the numbers of the links that the air damps; one that stands still, or has no mass, is none."""
-    articulation = model.articulation
-    assert articulation is not None
-    able = [articulation.tree.floating, *(articulation.link_mass > 0.0).tolist()]
-    return tuple(
-        link
-        for effect, _ in model.effects[LinkEffect]
-        for link, moves in enumerate(able)
-        if moves and effect.warp_damping(link) is not None
-    )
-
-
-def make_link_damping(model: Model, joints: JointTypes) -> dict[int, wp.Function]:
-    """Return what the air does to each link that it damps: (inertia of the link, its axes to those of the base, its centre of
-    mass from its origin, angular velocity and velocity of its origin at the start of the step, angular acceleration and
-    acceleration of its origin by turning and moving alone, what is held through the step, dt) -> ``Inertia``. Vectors are in
-    axes of the base.
+def make_damping(model: Model, joints: JointTypes, link: int) -> wp.Function | None:
+    """Return what damps a link, as ``on_links.make_on_links`` has it; None where nothing does.
 
     Beside the mass stands ``dt D``. The end of a step has ``-D (u + u' dt)`` with ``u' = R^T (a - weight + w x wind)``, where
     ``a`` is the spatial acceleration of the centre of mass that the recursion finds, weight in it: what is not of ``a`` is a
     force.
 
     Args:
-        model: With the effect on its links.
+        model: With its effects.
         joints: For its joints.
+        link: Number of the link.
     """
-    return {link: _make_damping(model, joints, link) for link in damped_links(model)}
-
-
-def _make_damping(model: Model, joints: JointTypes, link: int) -> wp.Function:
-    ((effect, _),) = model.effects[LinkEffect]
-    (pick,) = pickers(model)[LinkEffect]
-    twin, get, held_type = effect.warp_damping(link), pick.get, joints.held
+    twins = [effect.warp_damping(link) for effect, _ in model.effects[LinkEffect]]
+    if twins in ([], [None]):
+        return None
+    ((twin,), (pick,), held_type) = twins, pickers(model)[LinkEffect], joints.held
+    get = pick.get
 
     @wp.func
     def link_damping(
         own: Inertia, rotation: wp.mat33, com: wp.vec3, ang_vel: wp.vec3, lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3,
         held: held_type, dt: float,
-    ):  # fmt: skip
+    ) -> Inertia:  # fmt: skip
         back = wp.transpose(rotation)
         through = back * (lin_vel + wp.cross(ang_vel, com) - held.wind)
         turn = back * ang_vel

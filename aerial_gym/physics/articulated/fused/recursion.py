@@ -66,7 +66,7 @@ def make_recursion(
     The way in: (vehicle, position of joints, their rate, that at which swinging is taken, joint command, what is held
     through the step, thrusts, drag torques, angular velocity of the base at the start of the step and that at which turning is
     taken, its velocity, dt) -> ``Inertia`` of all that the base carries, with what its own rotors do, and what is kept.
-    ``air`` is what the air does to links, as ``link_damping.make_link_damping`` gives it; ``hubs`` what effects do at hubs, as
+    ``air`` is what effects do to links, as ``on_links.make_on_links`` gives it; ``hubs`` what they do at hubs, as
     ``hubs.make_hubs`` does.
     The way back: (kept, angular acceleration and acceleration of the base, weight not taken off it) -> accelerations of joints.
     """

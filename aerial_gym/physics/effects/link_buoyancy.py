@@ -1,0 +1,67 @@
+"""The weight of the water that each link of a vehicle that bends displaces pushes it up.
+
+``F = rho V g`` along world z at the link's centre of buoyancy, ``x y z`` along the axes of the link (those of the body in the
+reference pose) from its centre of mass: with the link in whatever way it is turned and joints bend. For each link what
+``buoyancy`` is for a rigid hull, by the same formula; there the centre is told from the body origin, as that of a hull is
+drawn, and the whole is one body in flights and fits. A litre of fresh water is 9.81 N, and a link of mass m is neutral at m g.
+Parameters are of all links with mass, or of one (``on_links.ByLink``).
+Source: Fossen (2021), Handbook of Marine Craft Hydrodynamics and Motion Control, section 4.1 (submerged vehicles).
+Letters: E environments, L links, P parameters.
+"""
+
+from typing import ClassVar
+
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.physics.effects.base import Parameter
+from aerial_gym.physics.effects.buoyancy import buoyant, warp_buoyant
+from aerial_gym.physics.effects.on_links import ByLink, LinkWrenchEffect
+from aerial_gym.physics.fused.types import vector_of
+
+
+class LinkBuoyancy(ByLink, LinkWrenchEffect):
+    """Upward force at a point of each link."""
+
+    name = "link_buoyancy"
+    summary = "upward force of the water that each link of a vehicle with joints displaces, at its centre of buoyancy"
+    columns: ClassVar[tuple[Parameter, ...]] = (
+        Parameter(
+            name="force", unit="N", low=0.0, high=1e5, scale=0.1, meaning="weight of the water that each link displaces"
+        ),
+        *(
+            Parameter(
+                name=axis,
+                unit="m",
+                low=-5.0,
+                high=5.0,
+                scale=0.01,
+                meaning=f"centre of buoyancy of each link from its centre of mass, {axis}",
+            )
+            for axis in "xyz"
+        ),
+    )
+    parameters = columns
+    what = "buoyancy"
+    excitation = "attitudes and angles of joints that differ"
+    confused_with = ("buoyancy", "payload_mass", "com_offset")
+    instead = ("buoyancy",)
+    medium = "water"
+
+    def wrench(self, up: Tensor, params: Tensor) -> Tensor:
+        """Return ``F up`` and ``b x F up``."""
+        own = self.numbers(up.shape[1], params)
+        return buoyant(own[..., :1], own[..., 1:], up)
+
+    def warp_wrench(self, link: int) -> wp.Function | None:
+        """Return the same in Warp; a link without a force costs nothing."""
+        if not self.has(link, "force"):
+            return None
+        force, lever = self.warp_numbers(link, "force"), self.warp_numbers(link, *"xyz")
+        params_type = vector_of(len(self.parameters))
+
+        @wp.func
+        def link_buoyancy(up: wp.vec3, params: params_type) -> wp.spatial_vector:
+            return warp_buoyant(force(params)[0], lever(params), up)
+
+        return link_buoyancy

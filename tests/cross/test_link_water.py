@@ -1,0 +1,87 @@
+"""Water on links on the fused backend against the torch reference, and on MuJoCo's; the bound is that of ``test_link_drag``."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from aerial_gym import SimBuilder
+from aerial_gym.config.randomize import RandomizeCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.env_manager import SIMS
+from aerial_gym.physics import BACKENDS, TorchBackend
+from aerial_gym.physics.warp_backend import WarpBackend
+from aerial_gym.robots import ROBOTS
+from tests.cross.test_joints import FACTOR, ROUND_OFF, odd_tree
+from tests.cross.test_link_drag import OF_ALL, fly
+from tests.physics.articulated.test_link_buoyancy import crooked, under_water
+from tests.repetitions import often
+
+BUOYANCY = {"force": 0.5, "x": 0.01, "slide.force": 2.0, "slide.z": 0.05, "base.y": -0.03}
+
+CASES = {
+    "a slide on a hinge": (under_water(crooked(), {"link_buoyancy": BUOYANCY}), ()),
+    "with drag": (under_water(crooked(), {"link_buoyancy": BUOYANCY, "link_drag": OF_ALL}), ("constant_wind",)),
+    "on a stand": (
+        under_water(crooked(), {"link_buoyancy": {"left.force": 2.0, "left.z": 0.1}}, floating=False), ()
+    ),
+    "everything": (
+        replace(odd_tree(), effects={"link_buoyancy": BUOYANCY, "link_drag": OF_ALL}, effects_source="test"),
+        ("gusts", "rotor_drag", "buoyancy"),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", often(CASES, ("with drag",)))
+def test_the_fused_step_in_water_is_that_of_the_reference(case: str) -> None:
+    robot, others = CASES[case]
+    exact = fly(TorchBackend(), robot, others, torch.float64)
+    singles = [fly(TorchBackend(), robot, others, torch.float32, nudge=nudge * 2.0**-24) for nudge in (0, 1)]
+    fused = fly(WarpBackend(), robot, others, torch.float32)
+    without = fly(TorchBackend(), replace(robot, effects={}), others, torch.float64)
+    for place, (right, mine, *roughs) in enumerate(zip(exact, fused, *singles, strict=True)):
+        away = max(float((rough - right).abs().max()) for rough in roughs)
+        allowed = FACTOR * away + ROUND_OFF * float(right.abs().max().clamp_min(1.0))
+        assert bool(right.isfinite().all())
+        assert float((mine - right).abs().max()) <= allowed
+        if place in (3, 6) and (place == 6 or case != "on a stand"):  # angular velocity, rates of joints
+            assert float((without[place] - right).abs().max()) > 100.0 * allowed
+
+
+def test_mujoco_carries_links_as_torch_does() -> None:
+    """On a free base and on a stand; both hold the force through a step, and round."""
+    pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[mujoco]'")
+    for case in ("a slide on a hinge", "on a stand"):
+        robot, others = CASES[case]
+        ends = [fly(backend, robot, others, torch.float64) for backend in (TorchBackend(), BACKENDS.get("mujoco")())]
+        for one, other in zip(*ends, strict=True):
+            torch.testing.assert_close(one, other, rtol=1e-9, atol=1e-9)
+
+
+def test_a_reset_draws_the_buoyancy_of_a_link() -> None:
+    """Morphy on a stand under water, its arms let go: the more water one displaces, the higher it is then."""
+    values = {"azimuth_1.force": 0.1, "azimuth_1.z": 0.0}
+    drawn = RandomizeCfg(how="value", distribution="uniform", low=0.05, high=0.3)
+    robot: RobotCfg = replace(
+        ROBOTS.get("morphy_fixed_base"),
+        effects={"link_buoyancy": values},
+        effects_source="test",
+        sensors=(),
+        randomize={"effects.link_buoyancy.azimuth_1.force": drawn},
+    )
+    env = SimBuilder().build_env(
+        sim_name=replace(SIMS.get("base_sim_2ms"), backend="torch"), env_name="empty_env", robot_name=robot,
+        controller_name="no_control", num_envs=8, device="cpu", seed=1,
+    )  # fmt: skip
+    env.reset()
+    env.gtd["robot_orientation"][:] = torch.tensor([0.0, 0.0, 0.0, 1.0])
+    env.gtd["dof_position"].zero_()
+    env.gtd["dof_velocity"].zero_()
+    env.step(torch.zeros(8, 4))
+    assert robot.joints is not None
+    draws = env.robot_manager.draws()["effects.link_buoyancy.azimuth_1.force"]
+    torch.testing.assert_close(env.gtd["effect_link_buoyancy"][:, 0], draws)
+    raised = -env.gtd["dof_position"][:, robot.joints.names.index("elevation_1")]
+    order = draws.argsort()
+    assert len(set(draws.tolist())) == 8
+    assert bool((raised[order].diff() > 0.0).all())

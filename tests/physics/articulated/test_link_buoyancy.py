@@ -1,0 +1,198 @@
+"""Buoyancy of links against closed forms, heights and the rigid engine; on other backends in ``tests/cross``."""
+
+from dataclasses import replace
+from math import cos, pi, sin, sqrt
+
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym.config.joint import JointCfg, LinkCfg, SpringCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.physics import EFFECTS
+from aerial_gym.physics.articulated.articulation import articulation_of
+from aerial_gym.physics.articulated.dynamics import equations
+from aerial_gym.physics.articulated.flight import jointed_step, link_wrenches
+from aerial_gym.physics.articulated.tree import TreeState
+from aerial_gym.physics.effects.link_buoyancy import LinkBuoyancy
+from aerial_gym.physics.integrators import semi_implicit_euler, to_body_state, to_mass_state
+from aerial_gym.physics.model import Model, build_model, check_effects
+from aerial_gym.physics.state import BodyState, JointedState
+from aerial_gym.physics.vehicle import vehicle_from_config
+from aerial_gym.robots import ROBOTS
+from tests.physics.articulated.lagrange import Energies, coordinates
+from tests.physics.articulated.test_flight import at_rest, rod_of, thrown
+from tests.physics.articulated.test_link_drag import arm, dragged, fly, model_of
+from tests.physics.articulated.trees import F64
+
+G = 9.81
+
+
+def under_water(
+    joints: tuple[JointCfg, ...], effects: dict[str, dict[str, float]], *, floating: bool = True
+) -> RobotCfg:
+    """Return a robot of a base of 1 kg with links and effects; its rotors stand still."""
+    robot = dragged(1.0, joints, {})
+    assert robot.joints is not None
+    return replace(robot, effects=effects, joints=replace(robot.joints, floating=floating))
+
+
+def link(mass: float, *com: float, inertia: tuple[float, float, float] = (1e-3, 2e-3, 2.5e-3)) -> LinkCfg:
+    rows = tuple(tuple(inertia[i] if i == j else 0.0 for j in range(3)) for i in range(3))
+    return LinkCfg(mass=mass, com=(com[0], com[1], com[2]), inertia=rows)  # type: ignore[arg-type]
+
+
+def tree_of(state: JointedState) -> TreeState:
+    return TreeState(**{name: rows for name, rows in vars(state).items() if name != "rotor_speed"})
+
+
+def crooked() -> tuple[JointCfg, ...]:
+    """Return an arm of a hinge and a slide, and one more hinge."""
+    return (
+        arm("left", (0.1, 0.4, 0.05), (0.0, 0.1, 0.0), axis=(0.6, 0.0, 0.8), link=link(0.3, 0.1, 0.4, 0.05)),
+        arm("slide", (0.2, 0.6, 0.0), (0.1, 0.5, 0.0), parent="left", kind="prismatic", axis=(0.0, 0.8, 0.6)),
+        arm("right", (0.1, -0.4, 0.0), (0.0, -0.1, 0.0), axis=(1.0, 0.0, 0.0), link=link(0.2, 0.1, -0.4, 0.0)),
+    )
+
+
+def moving(state: JointedState, seed: int = 4) -> JointedState:
+    """Return it in any attitude, with joints anywhere, that moves and turns."""
+    gen = torch.Generator().manual_seed(seed)
+
+    def draw(like: Tensor, scale: float) -> Tensor:
+        return scale * torch.randn(like.shape, generator=gen, dtype=F64)
+
+    return replace(
+        state,
+        position=draw(state.position, 1.0),
+        attitude=torch.nn.functional.normalize(draw(state.attitude, 1.0), dim=-1),
+        lin_vel=draw(state.lin_vel, 1.0),
+        ang_vel=draw(state.ang_vel, 2.0),
+        joint_pos=draw(state.joint_pos, 0.7),
+        joint_vel=draw(state.joint_vel, 2.0),
+    )
+
+
+FORCES = {"force": 2.0, "x": 0.01, "left.force": 3.5, "left.y": -0.03, "left.z": 0.05, "base.z": 0.1, "base.force": 8.0}
+
+
+@pytest.mark.parametrize("floats", [False, True])
+def test_a_pendulum_under_water_swings_by_what_is_left_of_its_weight(floats: bool) -> None:
+    """``(J + m l²) w² = m g l - F (l - b)`` for a centre of buoyancy b above that of mass; where water carries more than the
+    weight it swings about its upper rest, by the same with the sign turned. The step is of order 1."""
+    mass, length, above, force = 0.2, 0.5, 0.1, 5.0 if floats else 1.2
+    hinge = arm("rod", (), (0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0), link=link(mass, 0.0, 0.0, -length))
+    robot = under_water((hinge,), {"link_buoyancy": {"rod.force": force, "rod.z": above}}, floating=False)
+    start, left = 1e-4, mass * G * length - force * (length - above)
+    frequency = sqrt(abs(left) / (2e-3 + mass * length**2))
+    span, ends = 0.4 * pi / frequency, []
+    for steps in (40, 80):
+        model, state = model_of(robot, gravity=G)
+        state = replace(state, joint_pos=torch.full_like(state.joint_pos, start + pi * floats))
+        ends.append(float(fly(model, state, span / steps, steps).joint_pos[0, 0]) - pi * floats)
+    assert 2.0 * ends[1] - ends[0] == pytest.approx(start * cos(frequency * span), abs=2e-3 * start)
+
+
+def test_a_spring_holds_an_arm_against_a_centre_of_buoyancy_beside_that_of_mass() -> None:
+    """A neutral arm along x on a hinge about y comes to rest where ``k q = -F (x cos q + z sin q)``."""
+    stiffness, force, x, z = 0.5, 0.2 * G, 0.1, 0.15
+    spring = SpringCfg(stiffness=stiffness, damping=0.2)
+    hinge = arm("rod", (), (0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0), link=link(0.2, 0.3, 0.0, 0.0), spring=spring)
+    robot = under_water((hinge,), {"link_buoyancy": {"rod.force": force, "rod.x": x, "rod.z": z}}, floating=False)
+    model, state = model_of(robot, gravity=G)
+    angle = float(fly(model, state, 0.2, 60).joint_pos[0, 0])
+    assert stiffness * angle == pytest.approx(-force * (x * cos(angle) + z * sin(angle)), abs=1e-12)
+    assert angle < -0.1  # the force lifts its end, about -y
+
+
+def test_a_neutral_tree_rests_in_any_attitude() -> None:
+    """Each link is carried at its centre of mass, and nothing moves."""
+    robot = under_water(crooked(), {"link_buoyancy": {"base.force": G, "left.force": 0.3 * G, "slide.force": 0.1 * G,
+                                                      "right.force": 0.2 * G}})  # fmt: skip
+    model, state = model_of(robot, gravity=G, num_envs=8)
+    still = {name: torch.zeros_like(rows) for name, rows in vars(state).items() if name.endswith("_vel")}
+    state = fly(model, replace(moving(state), **still), 0.01, 8)
+    for rows in (state.lin_vel, state.ang_vel, state.joint_vel):
+        torch.testing.assert_close(rows, torch.zeros_like(rows), rtol=0.0, atol=1e-11)
+
+
+def test_forces_along_coordinates_are_what_heights_of_centres_of_buoyancy_say() -> None:
+    """``-dU/dx`` with ``U = -sum F z``, by SciPy's rotations; numbers of a link stand in place of those of all."""
+    model, state = model_of(under_water(crooked(), {"link_buoyancy": FORCES}), num_envs=3)
+    state, articulation = moving(state), model.articulation
+    assert articulation is not None
+    tree, links, there = articulation.tree, articulation.links(model.vehicle), tree_of(state)
+    wrench = link_wrenches(model, articulation, there, state.rotor_speed, state.rotor_speed)
+    found = [equations(tree, links, there, gravity=0.0, wrench=rows).force for rows in (wrench, None)]
+    push, lever = torch.tensor([8.0, 3.5, 2.0, 2.0], dtype=F64).numpy(), torch.zeros(4, 3, dtype=F64).numpy()
+    lever[:, 0], lever[1, 1], lever[1, 2], lever[0, 2] = 0.01, -0.03, 0.05, 0.1
+    for env in range(3):
+        expected = Energies.of(tree, links, there, env, push=push, lever=lever).forces(coordinates(there, env)[0])
+        mine = found[0] - found[1]
+        world = torch.from_numpy(expected)
+        turned = Energies.of(tree, links, there, env).attitude.as_matrix()
+        world[:3] = torch.from_numpy(turned).T @ world[:3]
+        torch.testing.assert_close(mine[env], world, rtol=0.0, atol=1e-8)
+
+
+def of_one_link(robot: RobotCfg, effects: list[tuple[object, Tensor]]) -> tuple[Model, JointedState]:
+    """Return a rigid robot as a tree of one link with effects on it, and a state in which it moves."""
+    bending = articulation_of(ROBOTS.get("morphy"), like=torch.zeros(1, dtype=F64))
+    assert bending is not None
+    vehicle = vehicle_from_config(robot, num_envs=3, dtype=F64)
+    model = build_model(vehicle, effects, articulation=rod_of(bending))  # type: ignore[arg-type]
+    state = thrown(at_rest(model))
+    return model, replace(state, rotor_speed=torch.rand(3, 4, dtype=F64, generator=torch.Generator().manual_seed(1)))
+
+
+def assert_flies_as_rigid(tree: Model, rigid: Model, state: JointedState, *, steps: int = 40) -> None:
+    """Both integrate the same quantities where the centre of mass is the body origin: rounding is left."""
+    command = state.rotor_speed * torch.tensor([1.3, 0.8, 1.1, 0.9], dtype=F64)
+    other = to_mass_state(rigid, BodyState(**{n: v for n, v in vars(state).items() if not n.startswith("joint")}))
+    for _ in range(steps):
+        state = jointed_step(tree, state, command, command[:, :0], 2e-3)
+        other = semi_implicit_euler(rigid, other, command, 2e-3)
+    for mine, theirs in zip(state.tensors(), to_body_state(rigid, other).tensors(), strict=False):
+        torch.testing.assert_close(mine, theirs, rtol=1e-9, atol=1e-10)
+
+
+def test_a_tree_of_one_link_is_carried_as_a_rigid_hull() -> None:
+    robot, row = ROBOTS.get("morphy_stiff"), torch.tensor([[3.0, 0.02, -0.03, 0.1]], dtype=F64).expand(3, -1)
+    tree, state = of_one_link(robot, [(LinkBuoyancy(), row)])
+    rigid = build_model(vehicle_from_config(robot, num_envs=3, dtype=F64), [(EFFECTS.get("buoyancy"), row)])
+    assert_flies_as_rigid(tree, rigid, state)
+
+
+def test_gradients_flow_through_steps() -> None:
+    """For parameters, attitude and angles, by differences."""
+    model, state = model_of(under_water(crooked(), {"link_buoyancy": FORCES}), gravity=G)
+    state, ((law, params),) = moving(state), tuple(model.effects)
+
+    def end(rows: Tensor, attitude: Tensor, angle: Tensor) -> Tensor:
+        there = replace(model, effects=type(model.effects)([(law, rows)]))
+        after = fly(there, replace(state, attitude=attitude, joint_pos=angle), 0.01, 1)
+        return torch.cat((after.lin_vel, after.ang_vel, after.joint_vel), dim=-1)
+
+    inputs = (params, state.attitude, state.joint_pos)
+    assert torch.autograd.gradcheck(end, tuple(rows.clone().requires_grad_() for rows in inputs))
+
+
+def test_what_cannot_be_is_refused_by_name() -> None:
+    morphy = replace(ROBOTS.get("morphy"), effects_source="test")
+    for values, words in (
+        (
+            {"azimuth_1.forces": 1.0},
+            r"effect link_buoyancy: no parameter 'azimuth_1.forces'. Give one of force, x, y, z for",
+        ),
+        (
+            {"elevation_1.force": 1.0},
+            "elevation_1 has no mass, at whose centre buoyancy acts.*or the buoyancy to a link",
+        ),
+        ({"force": -1.0}, r"link_buoyancy.force = -1.0: must lie in \[0, 100000\] N"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            check_effects(replace(morphy, effects={"link_buoyancy": values}))
+    rigid = replace(ROBOTS.get("tinyprop"), effects={"link_buoyancy": {"force": 1.0}}, effects_source="test")
+    with pytest.raises(ConfigError, match="link_buoyancy: is of the links .* is rigid. Give it buoyancy, or joints"):
+        check_effects(rigid)
