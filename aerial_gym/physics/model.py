@@ -159,10 +159,8 @@ def check_joints(effect: Effect | type[Effect], *, bends: bool) -> None:
             f"effect {effect.name}: is of the links of a vehicle with joints, and this one is rigid. {way_out}"
         )
     if bends and not effect.on_joints:
-        way_out = f"Give it {others}" if others else "Leave the effect out"
-        raise ConfigError(
-            f"effect {effect.name}: is for rigid vehicles, and this one has joints. {way_out}, or no joints"
-        )
+        way_out = f"Give it {others}, or leave out the joints" if others else "Leave the effect out, or the joints"
+        raise ConfigError(f"effect {effect.name}: is for rigid vehicles, and this one has joints. {way_out}")
 
 
 _TRAIT_WORDS = {

@@ -82,7 +82,7 @@ def test_a_pendulum_under_water_swings_by_what_is_left_of_its_weight(floats: boo
     """``(J + m l²) w² = m g l - F (l - b)`` for a centre of buoyancy b above that of mass; where water carries more than the
     weight it swings about its upper rest, by the same with the sign turned. The step is of order 1."""
     mass, length, above, force = 0.2, 0.5, 0.1, 5.0 if floats else 1.2
-    hinge = arm("rod", (), (0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0), link=link(mass, 0.0, 0.0, -length))
+    hinge = arm("rod", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0), link=link(mass, 0.0, 0.0, -length))
     robot = under_water((hinge,), {"link_buoyancy": {"rod.force": force, "rod.z": above}}, floating=False)
     start, left = 1e-4, mass * G * length - force * (length - above)
     frequency = sqrt(abs(left) / (2e-3 + mass * length**2))
@@ -98,7 +98,9 @@ def test_a_spring_holds_an_arm_against_a_centre_of_buoyancy_beside_that_of_mass(
     """A neutral arm along x on a hinge about y comes to rest where ``k q = -F (x cos q + z sin q)``."""
     stiffness, force, x, z = 0.5, 0.2 * G, 0.1, 0.15
     spring = SpringCfg(stiffness=stiffness, damping=0.2)
-    hinge = arm("rod", (), (0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0), link=link(0.2, 0.3, 0.0, 0.0), spring=spring)
+    hinge = arm(
+        "rod", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0), link=link(0.2, 0.3, 0.0, 0.0), spring=spring
+    )
     robot = under_water((hinge,), {"link_buoyancy": {"rod.force": force, "rod.x": x, "rod.z": z}}, floating=False)
     model, state = model_of(robot, gravity=G)
     angle = float(fly(model, state, 0.2, 60).joint_pos[0, 0])
