@@ -33,6 +33,9 @@ class Capabilities:
     effects: tuple[str, ...] | None
     """Names of effects it can run; None for every one that has a torch formula."""
 
+    lacks: tuple[str, ...] = ()
+    """Names of effects that it cannot run though."""
+
     rotors: tuple[str, ...] = ()
     """What rotors may have beyond a plain speed, of ``config.rotor.ROTOR_TRAITS``."""
 

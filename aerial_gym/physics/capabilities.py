@@ -66,7 +66,7 @@ def _lacking(able: Capabilities, needs: Needs) -> Iterator[str]:
     if needs.integrator is not None and needs.integrator not in able.integrators:
         yield f"run integrator {needs.integrator!r} (integrators: {', '.join(able.integrators)})"
     for name in needs.effects:
-        if able.effects is not None and name not in able.effects:
+        if name in able.lacks or (able.effects is not None and name not in able.effects):
             yield f"run effect {name!r}"
     for trait in sorted(needs.rotors - set(able.rotors)):
         yield f"run {_ROTOR_WORDS[trait]}"

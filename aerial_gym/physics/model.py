@@ -24,6 +24,7 @@ from aerial_gym.physics.effects import (
     FluidEffect,
     LearnedResidual,
     LinkEffect,
+    LinkFluidEffect,
     LoadEffect,
     VehicleEffect,
 )
@@ -178,6 +179,7 @@ def _check_scene(effects: Sequence[EffectParams], ceiling_height: float | Tensor
                 f"effect {effect.name}: there is no ceiling. Give ceiling_height [m] in the environment file"
             )
     alone = ((LoadEffect, "load"), (DelayEffect, "delay"), (FluidEffect, "fluid"), (LinkEffect, "damping of links"))
+    alone += ((LinkFluidEffect, "fluid of links"),)
     for kind, what in alone:
         names = [effect.name for effect, _ in effects if effect.kind is kind]
         if len(names) > 1:

@@ -93,7 +93,11 @@ def test_with_a_vehicle_of_its_own_in_each_environment(robot: str) -> None:
     assert_rows_alike(ROBOTS.get(robot), "rotor_speed_control", torch.float32, adjust=scale_by_env)
 
 
-ON_LINKS = {"link_drag": {"qx": 0.002, "ax": 0.001}, "link_buoyancy": {"force": 0.1, "x": 0.01}}
+ON_LINKS = {
+    "link_drag": {"qx": 0.002, "ax": 0.001},
+    "link_buoyancy": {"force": 0.1, "x": 0.01},
+    "link_added_mass": {"mx": 0.01},
+}
 
 
 @pytest.mark.parametrize("robot", ["morphy_creeping", "snakey6_effort"])

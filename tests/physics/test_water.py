@@ -154,7 +154,7 @@ def test_added_mass_slows_a_fall_and_not_the_weight() -> None:
 
 def test_water_is_not_looked_for_in_flights_and_one_fluid_is_enough() -> None:
     assert {name for name in EFFECTS.names() if EFFECTS.get(name).medium == "water"} == {
-        "added_inertia", "added_mass", "buoyancy", "hull_drag", "link_buoyancy",
+        "added_inertia", "added_mass", "buoyancy", "hull_drag", "link_added_mass", "link_buoyancy",
     }  # fmt: skip
     assert not any(EFFECTS.get(name).sought for name in ("added_mass", "hull_drag", "gusts"))
     twice = effects_of({"added_mass": ADDED}, 1) * 2

@@ -17,11 +17,12 @@ from aerial_gym.errors import CapabilityError
 from aerial_gym.math.quaternion import quat_multiply, quat_rotate, quat_rotate_inverse
 from aerial_gym.physics.articulated.articulation import Articulation
 from aerial_gym.physics.articulated.link_damping import LinkDamping, motion_in_air
+from aerial_gym.physics.articulated.link_fluid import LinkFluid
 from aerial_gym.physics.articulated.motion import move_links, place_links, turn_links
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Links, TreeState
 from aerial_gym.physics.backend import Capabilities
-from aerial_gym.physics.effects import LinkEffect, LinkWrenchEffect, WrenchEffect
+from aerial_gym.physics.effects import LinkEffect, LinkFluidEffect, LinkWrenchEffect, WrenchEffect
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rigid_body import acting_in, air_velocity, condition_in
@@ -78,6 +79,7 @@ def jointed_step(
         friction=articulation.resistance,
         wrench=link_wrenches(model, articulation, before, rotor_speed, rotor_acc),
         damping=link_damping(model, articulation, links, before),
+        fluid=link_fluid(model, links, before),
     )
     return JointedState(**vars(after), rotor_speed=rotor_speed)
 
@@ -217,6 +219,16 @@ def link_damping(model: Model, articulation: Articulation, links: Links, state: 
     )
     damping = torch.where(links.mass.unsqueeze(-1) > 0.0, effect.damping(velocity, params), 0.0)
     return LinkDamping(velocity=velocity, damping=damping, turned_wind=turned_wind)
+
+
+def link_fluid(model: Model, links: Links, state: TreeState) -> LinkFluid | None:
+    """Return the fluid that links set in motion; None where there is none. Arguments as for ``link_damping``."""
+    if not model.effects[LinkFluidEffect]:
+        return None
+    ((effect, params),) = model.effects[LinkFluidEffect]
+    heavy = links.mass.unsqueeze(-1) > 0.0
+    added = torch.where(heavy, effect.added(links.mass.shape[1], params), 0.0)
+    return LinkFluid(added=added, wind=_wind(model, state))
 
 
 def check_jointed(integrator: str, ground: Ground | None, able: Capabilities) -> None:

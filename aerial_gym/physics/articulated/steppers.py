@@ -22,9 +22,10 @@ import torch
 from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_exp, quat_multiply, quat_normalize
-from aerial_gym.physics.articulated.dynamics import Equations, accelerations, equations, solve
+from aerial_gym.physics.articulated.dynamics import Equations, equations, solve
 from aerial_gym.physics.articulated.joint_laws import Drive, Effort, JointLaw, joint_effort
 from aerial_gym.physics.articulated.link_damping import LinkDamping, damped
+from aerial_gym.physics.articulated.link_fluid import LinkFluid, entrained
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 
 
@@ -41,6 +42,7 @@ def implicit_euler(
     wrench: Tensor | None = None,
     effort: Tensor | None = None,
     damping: LinkDamping | None = None,
+    fluid: LinkFluid | None = None,
 ) -> TreeState:
     """Return the state after one step.
 
@@ -59,10 +61,13 @@ def implicit_euler(
         wrench: Held through the step, as for ``equations``, (E, L, 6).
         effort: Of the joints beside the laws, held through the step, (E, D).
         damping: Of the links, taken at the end of the step; None where there is none.
+        fluid: That they set in motion; None where there is none.
     """
 
     def step(acts: Effort, swings: TreeState) -> TreeState:
         found = equations(tree, links, swings, gravity=gravity, wrench=wrench, effort=effort)
+        if fluid is not None:
+            found = entrained(tree, found, state.attitude, fluid)
         if damping is not None:
             found = damped(tree, found, damping, dt)
         return _implicit(tree, state, found, acts, dt)
@@ -155,14 +160,18 @@ def rk4(
     gravity: float,
     wrench: Tensor | None = None,
     effort: Tensor | None = None,
+    fluid: LinkFluid | None = None,
 ) -> TreeState:
     """Return the state after one classical Runge-Kutta step; arguments as for ``implicit_euler``."""
 
     def slope(at: TreeState) -> tuple[Tensor, ...]:
         acts = joint_effort(laws, at.joint_pos, at.joint_vel).value
-        now = accelerations(
+        found = equations(
             tree, links, at, gravity=gravity, wrench=wrench, effort=acts if effort is None else acts + effort
         )
+        if fluid is not None:
+            found = entrained(tree, found, at.attitude, fluid)
+        now = solve(tree, at, found.mass, found.force)
         turning = 0.5 * quat_multiply(at.attitude, torch.nn.functional.pad(at.ang_vel, (0, 1)))
         return at.lin_vel, turning, now.lin_acc, now.ang_acc, at.joint_vel, now.joint_acc
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from aerial_gym.physics.effects.by_kind import STEP_KINDS, EffectParams, EffectsByKind
     from aerial_gym.physics.effects.catalog import EFFECTS
     from aerial_gym.physics.effects.learned_residual import LearnedResidual
-    from aerial_gym.physics.effects.on_links import LinkEffect, LinkWrenchEffect
+    from aerial_gym.physics.effects.on_links import LinkEffect, LinkFluidEffect, LinkWrenchEffect
 
 __all__ = [
     "EFFECTS",
@@ -42,6 +42,7 @@ __all__ = [
     "LearnedResidual",
     "LinearWrenchEffect",
     "LinkEffect",
+    "LinkFluidEffect",
     "LinkWrenchEffect",
     "LoadEffect",
     "Moment",

@@ -27,6 +27,7 @@ class AddedInertia(VehicleEffect):
     confused_with = ("inertia_error",)
     rotors = ANY_ROTOR
     on_joints = False
+    instead = ("link_added_mass",)
     medium = "water"
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:

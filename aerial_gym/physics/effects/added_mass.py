@@ -29,6 +29,7 @@ class AddedMass(FluidEffect):
     )
     excitation = "accelerations along each body axis"
     confused_with = ("payload_mass", "thrust_coefficient")
+    instead = ("link_added_mass",)
     medium = "water"
 
     def entrain(self, wrench: Tensor, condition: Condition, gravity: float, params: Tensor) -> Tensor:

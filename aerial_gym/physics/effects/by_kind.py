@@ -19,7 +19,7 @@ from aerial_gym.physics.effects.base import (
     WindEffect,
     WrenchEffect,
 )
-from aerial_gym.physics.effects.on_links import LinkEffect, LinkWrenchEffect
+from aerial_gym.physics.effects.on_links import LinkEffect, LinkFluidEffect, LinkWrenchEffect
 
 EffectParams = tuple[Effect, Tensor]
 """An effect and its parameters, (E, P)."""
@@ -30,6 +30,7 @@ STEP_KINDS: tuple[type[Effect], ...] = (
     WrenchEffect,
     FluidEffect,
     LinkWrenchEffect,
+    LinkFluidEffect,
     LinkEffect,
     CommandEffect,
     DelayEffect,

@@ -48,6 +48,7 @@ for _name, _class in (
     ("hull_drag", "HullDrag"),
     ("link_drag", "LinkDrag"),
     ("link_buoyancy", "LinkBuoyancy"),
+    ("link_added_mass", "LinkAddedMass"),
     ("added_mass", "AddedMass"),
     ("added_inertia", "AddedInertia"),
     ("imu_bias", "ImuBias"),

@@ -85,6 +85,39 @@ class LinkWrenchEffect(Effect):
         return None
 
 
+class LinkFluidEffect(Effect):
+    """Fluid that each link of a vehicle that bends sets in motion with it: as if it had another mass along each axis.
+
+    It stands beside the mass of the link in the equations of motion, and weighs nothing. A vehicle has one at most.
+    """
+
+    acts_on = "inertia"
+    twin = "warp_added"
+    rotors = ANY_ROTOR
+    on_rigid = False
+
+    @abstractmethod
+    def added(self, num_links: int, params: Tensor) -> Tensor:
+        """Return added masses [kg] and inertias [kg m²] of every link at its centre of mass, axes of the link, (E, L, 6).
+
+        Args:
+            num_links: L.
+            params: (E, P).
+        """
+
+    def warp_added(self, link: int) -> wp.Function | None:
+        """Return the twin of ``added`` for one link, or None: the effect does nothing to it.
+
+        Args:
+            link: Its number; 0 is the base.
+
+        Returns:
+            A ``wp.func`` (params: vector of P) -> masses and inertias, ``wp.spatial_vector``.
+        """
+        del link
+        return None
+
+
 class ByLink:
     """Parameters of each of ``columns``: of all links with mass, the base among them, or of one in its place.
 

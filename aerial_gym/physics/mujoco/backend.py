@@ -50,6 +50,7 @@ class MujocoBackend(TorchBackend):
         integrators=("euler",),
         differentiable=False,
         effects=None,
+        lacks=("link_added_mass",),  # a body of MuJoCo has one mass along all axes
         rotors=ROTOR_TRAITS,
         contact=True,
         joints=True,

@@ -23,6 +23,7 @@ from torch import Tensor
 from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.physics.articulated.joint_laws import Drive, Effort, JointLaw
 from aerial_gym.physics.articulated.link_damping import LinkDamping
+from aerial_gym.physics.articulated.link_fluid import LinkFluid
 from aerial_gym.physics.articulated.steppers import moved_on, with_drive
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.mujoco.bodies import LARGEST
@@ -137,6 +138,7 @@ class Trees(ABC):
         drive: Drive | None = None,
         friction: Drive | None = None,
         damping: LinkDamping | None = None,
+        fluid: LinkFluid | None = None,
     ) -> TreeState:
         """Return the state after one step; arguments as for ``steppers.implicit_euler``, but that damping is held through it.
 
@@ -144,8 +146,13 @@ class Trees(ABC):
 
         Raises:
             ShapeError: If it was made for another tree or for steps of another length.
-            CapabilityError: If damping of links is too large to be held.
+            CapabilityError: If damping of links is too large to be held, or if they set a fluid in motion.
         """
+        if fluid is not None:
+            raise CapabilityError(
+                f"backend {self.backend}: bodies of MuJoCo have one mass along all axes, and added mass of links is another "
+                "along each. Use backend 'torch' or 'warp'"
+            )
         if tree is not self._tree or dt != self.dt:
             raise ShapeError(f"MuJoCo's models are of another tree, or of steps of {self.dt:g} s. Make them anew")
         if damping is not None:

@@ -51,8 +51,8 @@ class Energies:
         attitude = Rotation.from_quat(state.attitude[env].numpy())
         return cls(tree=tree, attitude=attitude, mass=mass, com=com, inertia=inertia, **(nothing | others))  # type: ignore[arg-type]
 
-    def places(self, x: Array) -> tuple[Array, Array]:
-        """Return centres of mass and axes of links, world, (L, 3) and (L, 3, 3)."""
+    def places(self, x: Array) -> Array:
+        """Return the centre of mass and the axes of each link, world, in columns, (L, 3, 4)."""
         turns, origins = [self.attitude * Rotation.from_rotvec(x[3:6])], [x[:3]]
         for joint, q in zip(self.tree.joints, x[6:], strict=True):
             turn, origin = turns[joint.parent], origins[joint.parent]
@@ -62,32 +62,24 @@ class Energies:
             turns.append(mounted * Rotation.from_rotvec(q * axis) if bends else mounted)
             origins.append(origin if bends else origin + q * mounted.apply(axis))
         axes = Rotation.concatenate(turns).as_matrix()
-        return np.array(origins) + np.einsum("lij,lj->li", axes, self.com), axes
+        centres = np.array(origins) + np.einsum("lij,lj->li", axes, self.com)
+        return np.concatenate((centres[..., None], axes), axis=-1)
 
     def mass_matrix(self, x: Array) -> Array:
         """Return M of all links with the water that they move, from how differences of places move along each coordinate."""
-        probe, here = 1e-5, self.places(x)[1]
-        pushes, turns = [], []
-        for k in range(len(x)):
-            side = np.zeros_like(x)
-            side[k] = probe
-            (far, far_axes), (near, near_axes) = self.places(x + side), self.places(x - side)
-            spin = (far_axes - near_axes) / (2.0 * probe) @ here.transpose(0, 2, 1)
-            turning = np.stack(
-                (spin[:, 2, 1] - spin[:, 1, 2], spin[:, 0, 2] - spin[:, 2, 0], spin[:, 1, 0] - spin[:, 0, 1])
-            )
-            pushes.append(np.einsum("lji,lj->li", here, (far - near) / (2.0 * probe)))
-            turns.append(np.einsum("lji,lj->li", here, 0.5 * turning.T))
-        push, turn = np.array(pushes), np.array(turns)  # axes of the links
+        here, slopes = self.places(x)[..., 1:], _slopes(self.places, x)
+        spin = slopes[..., 1:] @ here.transpose(0, 2, 1)  # skew matrices of the turning, world
+        turning = np.stack((spin[..., 2, 1], spin[..., 0, 2], spin[..., 1, 0]), axis=-1)
+        push, turn = (np.einsum("lji,alj->ali", here, part) for part in (slopes[..., 0], turning))  # axes of the links
         moved = self.mass[:, None] + self.added[:, :3]
         whirled = self.inertia + np.einsum("li,ij->lij", self.added[:, 3:], np.eye(3))
         return np.einsum("alj,lj,blj->ab", push, moved, push) + np.einsum("ali,lij,blj->ab", turn, whirled, turn)
 
     def potential(self, x: Array) -> float:
         """Return U [J] of weight and upward forces."""
-        places, axes = self.places(x)
-        pushed = places + np.einsum("lij,lj->li", axes, self.lever)
-        return float(self.gravity * self.mass @ places[:, 2] - self.push @ pushed[:, 2])
+        centres, axes = self.places(x)[..., 0], self.places(x)[..., 1:]
+        pushed = centres + np.einsum("lij,lj->li", axes, self.lever)
+        return float(self.gravity * self.mass @ centres[:, 2] - self.push @ pushed[:, 2])
 
     def forces(self, x: Array) -> Array:
         """Return ``-dU/dx``."""

@@ -51,7 +51,7 @@ def test_the_loop_lists_it_as_not_testable_and_keeps_it(dragged: RobotCfg) -> No
     selection, air = SimpleNamespace(not_testable={}, accepted=()), SimpleNamespace(wind=SimpleNamespace(untestable=""))
     told = not_testable(selection, dragged, air)  # type: ignore[arg-type]
     words = "acts on links where they are, and the vehicle is taken as rigid in its reference pose here"
-    assert told == dict.fromkeys(("link_drag", "link_buoyancy"), words)
+    assert told == dict.fromkeys(("link_drag", "link_buoyancy", "link_added_mass"), words)
     assert not_testable(selection, ROBOTS.get("tinyprop"), air) == {}  # type: ignore[arg-type]
     declared = SimpleNamespace(
         robot=dragged, stated=dragged, train=SimpleNamespace(flights=[SimpleNamespace(name="f")])

@@ -83,6 +83,28 @@ def accelerated(own: Inertia, mass: float, com: wp.vec3, bend: wp.vec3, swing: w
 
 
 @wp.func
+def beside(own: Inertia, push: wp.mat33, turn: wp.mat33, com: wp.vec3, force: wp.vec3, torque: wp.vec3) -> Inertia:
+    """Return an inertia with what else resists accelerations of a centre of mass, and what acts there.
+
+    Args:
+        own: About the link's origin.
+        push: Force per acceleration of the centre [kg].
+        turn: Torque per angular acceleration [kg m²].
+        com: The centre from the link's origin [m].
+        force: At the centre [N].
+        torque: [N m].
+    """
+    mixed = wp.skew(com) * push
+    after = own
+    after.push += push
+    after.mixed += mixed
+    after.turn += turn - mixed * wp.skew(com)
+    after.force -= force
+    after.torque -= torque + wp.cross(com, force)
+    return after
+
+
+@wp.func
 def com_of(own: Inertia) -> wp.vec3:
     """Return the centre of mass of one rigid link from its origin [m]."""
     return (1.0 / own.push[0, 0]) * wp.vec3(own.mixed[2, 1], own.mixed[0, 2], own.mixed[1, 0])

@@ -155,7 +155,7 @@ def make_jointed_kernel(
                 own.torque -= wp.spatial_bottom(more) + wp.cross(vehicle.com, push)
             if wp.static(base_in_air is not None):
                 own = base_in_air(
-                    own, wp.identity(n=3, dtype=float), com_of(own), w_0, move, wp.vec3(), wp.vec3(), given, dt
+                    own, wp.identity(n=3, dtype=float), com_of(own), w_0, move, w, move, wp.vec3(), wp.vec3(), given, dt
                 )
             turn, rise = solve(plus(carried, own))
         return vel + dt * way_back(kept, turn, rise), turn, rise

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from aerial_gym.physics.articulated.fused.inertia import Inertia
+from aerial_gym.physics.articulated.fused.inertia import Inertia, beside
 from aerial_gym.physics.articulated.fused.recursion import JointTypes
 from aerial_gym.physics.effects import LinkEffect
 from aerial_gym.physics.fused.packing import pickers
@@ -29,26 +29,19 @@ def make_damping(model: Model, joints: JointTypes, link: int) -> wp.Function | N
 
     @wp.func
     def link_damping(
-        own: Inertia, rotation: wp.mat33, com: wp.vec3, ang_vel: wp.vec3, lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3,
-        held: held_type, dt: float,
+        own: Inertia, rotation: wp.mat33, com: wp.vec3, ang_vel_0: wp.vec3, lin_vel_0: wp.vec3, ang_vel: wp.vec3,
+        lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3, held: held_type, dt: float,
     ) -> Inertia:  # fmt: skip
         back = wp.transpose(rotation)
-        through = back * (lin_vel + wp.cross(ang_vel, com) - held.wind)
-        turn = back * ang_vel
+        through = back * (lin_vel_0 + wp.cross(ang_vel_0, com) - held.wind)
+        turn = back * ang_vel_0
         damping = twin(wp.spatial_vector(through, turn), get(held.params))
         along = wp.spatial_top(damping)
         about = wp.spatial_bottom(damping)
-        change = held.weight - wp.cross(ang_vel, held.wind) - swing - wp.cross(bend, com)
+        change = held.weight - wp.cross(ang_vel_0, held.wind) - swing - wp.cross(bend, com)
         force = rotation * wp.cw_mul(along, dt * (back * change) - through)
         torque = -rotation * wp.cw_mul(about, turn + dt * (back * bend))
         push = dt * (rotation * wp.diag(along) * back)
-        mixed = wp.skew(com) * push
-        after = own
-        after.push += push
-        after.mixed += mixed
-        after.turn += dt * (rotation * wp.diag(about) * back) - mixed * wp.skew(com)
-        after.force -= force
-        after.torque -= torque + wp.cross(com, force)
-        return after
+        return beside(own, push, dt * (rotation * wp.diag(about) * back), com, force, torque)
 
     return link_damping

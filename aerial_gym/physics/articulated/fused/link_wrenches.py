@@ -28,8 +28,8 @@ def _make_wrench(joints: JointTypes, twin: wp.Function, get: wp.Function) -> wp.
 
     @wp.func
     def link_wrench(
-        own: Inertia, rotation: wp.mat33, com: wp.vec3, ang_vel: wp.vec3, lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3,
-        held: held_type, dt: float,
+        own: Inertia, rotation: wp.mat33, com: wp.vec3, ang_vel_0: wp.vec3, lin_vel_0: wp.vec3, ang_vel: wp.vec3,
+        lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3, held: held_type, dt: float,
     ) -> Inertia:  # fmt: skip
         wrench = twin(wp.transpose(rotation) * world_up(held.attitude), get(held.params))
         force = rotation * wp.spatial_top(wrench)

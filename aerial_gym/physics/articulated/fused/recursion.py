@@ -265,7 +265,7 @@ def _make_link(
                 whole = own
             whole = rotors(vehicle, held, thrusts, drags, turned, origin, turn_0, move_0, whole)
             if wp.static(damped):
-                whole = in_air(whole, turned, turned * com, turn_0, move_0, bent, swung, held, dt)
+                whole = in_air(whole, turned, turned * com, turn_0, move_0, turn, move, bent, swung, held, dt)
             acts, stiff = effort(q, vel[k], command, held, dt)
             if wp.static(revolute):
                 by_turn = whole.turn * axis

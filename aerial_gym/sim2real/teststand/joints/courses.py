@@ -19,7 +19,8 @@ from aerial_gym.math.quaternion import quat_normalize, quat_rotate_inverse
 from aerial_gym.physics import build_model, vehicle_from_config
 from aerial_gym.physics.articulated.articulation import articulation_of
 from aerial_gym.physics.articulated.dynamics import equations
-from aerial_gym.physics.articulated.flight import link_damping, link_wrenches
+from aerial_gym.physics.articulated.flight import link_damping, link_fluid, link_wrenches
+from aerial_gym.physics.articulated.link_fluid import entrained
 from aerial_gym.physics.articulated.tree import Links, TreeState
 from aerial_gym.physics.model import Model, robot_effects
 from aerial_gym.physics.rotor_lag import follow_command
@@ -156,11 +157,16 @@ def _efforts(robot: RobotCfg, state: TreeState, rotors: torch.Tensor, acc: torch
     if damping is not None:
         wrench = wrench + damping.held(links)
     found = equations(articulation.tree, links, state, gravity=STANDARD_GRAVITY, wrench=wrench)
+    fluid = link_fluid(model, links, state)
+    if fluid is not None:
+        found = entrained(articulation.tree, found, state.attitude, fluid)
     return ((found.mass @ acc.unsqueeze(-1)).squeeze(-1) - found.force)[:, 6:]
 
 
 def pushed_links(robot: RobotCfg, state: TreeState, rotors: torch.Tensor) -> tuple[Model, Links, torch.Tensor]:
-    """Return a robot that bends, its links in T rows, and what rotors and effects but drag of links do to each, (T, L, 6).
+    """Return a robot that bends, its links in T rows, and what rotors and effects do to each, (T, L, 6).
+
+    But drag of links, and the fluid that they set in motion, which depend on more.
 
     Args:
         robot: As declared.

@@ -20,11 +20,12 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
-from aerial_gym.errors import DataError
+from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.math.quaternion import quat_normalize, quat_rotate_inverse
 from aerial_gym.physics.articulated.dynamics import equations
 from aerial_gym.physics.articulated.joint_laws import Limits, Spring
 from aerial_gym.physics.articulated.tree import Links, TreeState
+from aerial_gym.physics.effects import EFFECTS, LinkFluidEffect
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.teststand.joints.courses import checked_rate, pushed_links, rotor_states
@@ -73,7 +74,13 @@ def ride_of(robot: RobotCfg, log: FlightLog, *, bandwidth: float) -> Ride:
 
     Raises:
         DataError: If it has neither accelerometer nor velocity, no gyro or no rotors, or is too slow or too short.
+        ConfigError: If links set a fluid in motion.
     """
+    if fluids := [name for name in robot.effects if EFFECTS.get(name).kind is LinkFluidEffect]:
+        raise ConfigError(
+            f"identify joints: {fluids[0]} is left out where no angles of joints are logged. Log them (columns joint_NAME), or "
+            "leave the effect out"
+        )
     rate = checked_rate(log, bandwidth)
     assert log.ang_vel is not None
 

@@ -1,0 +1,60 @@
+"""Fluid that links set in motion, in the equations of motion of a tree: ``LinkFluidEffect``.
+
+Of a link with added masses A and inertias B in axes R of the link, both of its centre of mass, which moves at u through fluid
+in steady uniform motion and accelerates by a, the fluid takes ``R A R^T (a - w x u) + w x (R A R^T u)`` of the force, and
+``R B R^T w' + w x (R B R^T w) + u x (R A R^T u)`` of the torque. What of it follows the accelerations of the coordinates stands
+in the mass matrix: ``M + sum J^T (A, B) J``. Weight does not act on it.
+Letters: E environments, L links, N coordinates of motion.
+
+Source: Lamb (1932), Hydrodynamics, articles 121-124 (Kirchhoff's equations).
+"""
+
+from dataclasses import dataclass, replace
+
+from torch import Tensor
+
+from aerial_gym.math.quaternion import quat_rotate_inverse
+from aerial_gym.physics.articulated.dynamics import Equations, along_coordinates, sum_of_products
+from aerial_gym.physics.articulated.motion import cross, moving, turning
+from aerial_gym.physics.articulated.tree import Tree
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkFluid:
+    """What fluid adds to each link."""
+
+    added: Tensor
+    """Diagonals of A [kg] and B [kg m²], axes of the link, (E, L, 6)."""
+
+    wind: Tensor
+    """Velocity of the fluid [m/s], world, (E, 3)."""
+
+
+def entrained(tree: Tree, found: Equations, attitude: Tensor, fluid: LinkFluid) -> Equations:
+    """Return equations of motion with the fluid; its terms of velocity are those of the motion that the equations have.
+
+    Args:
+        tree: How links hang together.
+        found: Without the fluid.
+        attitude: Base to world, xyzw, (E, 4).
+        fluid: What it adds.
+    """
+    places, motion, turn = found.places, found.motion, found.motion.ang_vel
+    along, about = fluid.added.split(3, dim=-1)
+    wind = quat_rotate_inverse(attitude, fluid.wind).unsqueeze(1)
+    through = motion.lin_vel + cross(turn, places.com - places.origin) - wind
+
+    def weighed(diagonal: Tensor, vectors: Tensor) -> Tensor:
+        own = places.rotation.mT @ vectors.unsqueeze(-1)
+        return (places.rotation @ (diagonal.unsqueeze(-1) * own)).squeeze(-1)
+
+    momentum, spin = weighed(along, through), weighed(about, turn)
+    push = weighed(along, motion.com_acc - cross(turn, through)) + cross(turn, momentum)
+    twist = weighed(about, motion.ang_acc) + cross(turn, spin) + cross(through, momentum)
+    mass, force = found.mass, found.force
+    moves, turns = moving(tree, places, places.com), turning(tree, places)
+    for rates, diagonal, taken in ((moves, along, push), (turns, about, twist)):
+        own = places.rotation.mT @ rates  # (E, L, 3, N), axes of the link
+        mass = mass + sum_of_products(own, diagonal.unsqueeze(-1) * own)
+        force = force - along_coordinates(rates, taken)
+    return replace(found, mass=mass, force=force)

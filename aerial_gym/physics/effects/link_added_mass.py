@@ -1,0 +1,86 @@
+"""Water that each link of a vehicle that bends pushes aside and turns with it: as if it had another mass along each axis.
+
+For each link Kirchhoff's equations, with added masses A = diag(mx my mz) along the axes of the link (those of the body in the
+reference pose) at its centre of mass, added inertias B = diag(jx jy jz) about these, v the velocity of that centre through
+water in steady uniform motion, and w the angular velocity of the link; in axes of the link::
+
+    F_water = -(A (a - w x v) + w x (A v))         a the acceleration of the centre in the world
+    T_water = -(B w' + w x (B w) + v x (A v))      about the centre
+
+The last term, Munk's moment, turns a slender link across its motion. What follows accelerations stands beside the mass of the
+link in the equations of motion, and has no weight: an accelerometer feels it by the motion alone. The energy of the water is
+``1/2 v A v + 1/2 w B w`` of each link; that one link moves water for another is left out. For each link what ``added_mass`` and
+``added_inertia`` are for a rigid hull, which change what a given force makes of one body; a link is pushed by what hangs on
+it, so that here water is inertia. Parameters are of all links with mass, or of one (``on_links.ByLink``). The engine's side of
+it is ``articulated.link_fluid``.
+Source: Lamb (1932), Hydrodynamics, articles 121-124 (Kirchhoff's equations); Fossen (2021), Handbook of Marine Craft
+Hydrodynamics and Motion Control, section 6.3.
+Letters: E environments, L links, P parameters.
+"""
+
+from typing import ClassVar
+
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.physics.effects.base import Parameter
+from aerial_gym.physics.effects.on_links import ByLink, LinkFluidEffect
+from aerial_gym.physics.fused.types import vector_of
+
+_MASSES, _INERTIAS = (tuple(f"{letter}{axis}" for axis in "xyz") for letter in "mj")
+
+
+class LinkAddedMass(ByLink, LinkFluidEffect):
+    """Mass and inertia of the water along and about each axis of each link."""
+
+    name = "link_added_mass"
+    summary = (
+        "water that each link of a vehicle with joints accelerates: added mass and inertia along each axis of the link"
+    )
+    columns: ClassVar[tuple[Parameter, ...]] = (
+        *(
+            Parameter(
+                name=name,
+                unit="kg",
+                low=0.0,
+                high=1e4,
+                scale=0.1,
+                meaning=f"added mass along {name[1]} of each link",
+            )
+            for name in _MASSES
+        ),
+        *(
+            Parameter(
+                name=name,
+                unit="kg m²",
+                low=0.0,
+                high=1e4,
+                scale=1e-3,
+                meaning=f"added inertia about {name[1]} of each link",
+            )
+            for name in _INERTIAS
+        ),
+    )
+    parameters = columns
+    what = "added mass"
+    excitation = "accelerations of links along and about each axis"
+    confused_with = ("payload_mass", "inertia_error", "thrust_coefficient")
+    instead = ("added_mass", "added_inertia")
+    medium = "water"
+
+    def added(self, num_links: int, params: Tensor) -> Tensor:
+        """Return the diagonals of A and B of every link, (E, L, 6)."""
+        return self.numbers(num_links, params)
+
+    def warp_added(self, link: int) -> wp.Function | None:
+        """Return the same in Warp; a link without any costs nothing."""
+        if not self.has(link, *_MASSES, *_INERTIAS):
+            return None
+        masses, inertias = self.warp_numbers(link, *_MASSES), self.warp_numbers(link, *_INERTIAS)
+        params_type = vector_of(len(self.parameters))
+
+        @wp.func
+        def link_added_mass(params: params_type) -> wp.spatial_vector:
+            return wp.spatial_vector(masses(params), inertias(params))
+
+        return link_added_mass

@@ -1,0 +1,215 @@
+"""Added mass of links against Lagrange's equations, conservation laws, closed forms and the rigid engine; float64."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import cos, pi, sin, sqrt
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym.errors import CapabilityError, ConfigError
+from aerial_gym.physics import EFFECTS
+from aerial_gym.physics.articulated.articulation import articulation_of
+from aerial_gym.physics.articulated.dynamics import Accelerations, equations, solve
+from aerial_gym.physics.articulated.link_fluid import LinkFluid, entrained
+from aerial_gym.physics.articulated.steppers import implicit_euler, rk4
+from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
+from aerial_gym.physics.capabilities import choose_backend, needs_of
+from aerial_gym.physics.effects.link_added_mass import LinkAddedMass
+from aerial_gym.physics.effects.link_buoyancy import LinkBuoyancy
+from aerial_gym.physics.model import build_model, check_effects
+from aerial_gym.physics.vehicle import vehicle_from_config
+from aerial_gym.robots import ROBOTS
+from tests.physics.articulated.lagrange import Energies, coordinates
+from tests.physics.articulated.test_link_buoyancy import (
+    assert_flies_as_rigid,
+    crooked,
+    link,
+    moving,
+    of_one_link,
+    under_water,
+)
+from tests.physics.articulated.test_link_drag import arm, fly, model_of
+from tests.physics.articulated.trees import F64, random_links, random_motion, random_tree
+
+G = 9.81
+
+
+def water(tree: Tree, num_envs: int, seed: int, wind: Tensor | None = None) -> LinkFluid:
+    """Return water of links that have 0.1 to 1 kg, about as much, and another along each axis."""
+    gen = torch.Generator().manual_seed(seed)
+    mass, inertia = (torch.rand(num_envs, tree.num_links, 3, dtype=F64, generator=gen) for _ in range(2))
+    still = torch.zeros(num_envs, 3, dtype=F64) if wind is None else wind
+    return LinkFluid(added=torch.cat((mass, 5e-3 * inertia), dim=-1), wind=still)
+
+
+def accelerations(tree: Tree, links: Links, state: TreeState, fluid: LinkFluid, *, gravity: float) -> Accelerations:
+    found = entrained(tree, equations(tree, links, state, gravity=gravity), state.attitude, fluid)
+    return solve(tree, state, found.mass, found.force)
+
+
+@pytest.mark.parametrize(("floating", "seed"), [(True, 1), (True, 7), (False, 2)])
+def test_trees_in_still_water_accelerate_by_lagranges_equations(floating: bool, seed: int) -> None:
+    """Under weight, which the water has none of: energies by SciPy's rotations, all else by differences."""
+    tree = random_tree(3, seed, floating=floating)
+    links, state, fluid = random_links(tree, 1, seed), random_motion(tree, 1, seed), water(tree, 1, seed)
+    energies = Energies.of(tree, links, state, 0, added=fluid.added[0].numpy(), gravity=G)
+    expected = energies.accelerations(*coordinates(state, 0))
+    now = accelerations(tree, links, state, fluid, gravity=G)
+    found = torch.cat((now.lin_acc, now.ang_acc, now.joint_acc), dim=-1)[0].numpy()
+    assert np.abs(found - expected).max() < 1e-9 * np.abs(expected).max()
+    dry = accelerations(tree, links, state, replace(fluid, added=0.0 * fluid.added), gravity=G)
+    assert float((dry.joint_acc - now.joint_acc).abs().max()) > 0.1 * float(now.joint_acc.abs().max())
+
+
+def kept(tree: Tree, links: Links, state: TreeState, fluid: LinkFluid) -> np.ndarray:
+    """Return energy, impulse and its moment about the world's origin, of links and water, by SciPy's rotations."""
+    energies = Energies.of(tree, links, state, 0, added=fluid.added[0].numpy())
+    x, rate = coordinates(state, 0)
+    momentum = energies.mass_matrix(x) @ rate
+    moment = energies.attitude.apply(momentum[3:6]) + np.cross(x[:3], momentum[:3])
+    return np.concatenate(([0.5 * rate @ momentum], momentum[:3], moment))
+
+
+def test_a_free_tree_in_still_water_keeps_energy_impulse_and_moment() -> None:
+    """To the order of the stepper: what is lost in a tenth of a second falls by more than 14 when the step is halved."""
+    tree = random_tree(3, 5)
+    links, start, fluid = random_links(tree, 1, 5), random_motion(tree, 1, 5), water(tree, 1, 5)
+    first, lost = kept(tree, links, start, fluid), []
+    for steps in (8, 16):
+        state = start
+        for _ in range(steps):
+            state = rk4(tree, links, (), state, 0.1 / steps, gravity=0.0, fluid=fluid)
+        lost.append(np.abs(kept(tree, links, state, fluid) - first))
+    size = np.array([first[0], *[np.linalg.norm(first[1:4])] * 3, *[np.linalg.norm(first[4:])] * 3])
+    assert (lost[1] < 1e-5 * size).all()
+    assert np.linalg.norm(lost[0] / size) > 14.0 * np.linalg.norm(lost[1] / size)
+    dry = kept(tree, links, state, replace(fluid, added=0.0 * fluid.added))[1:4]
+    assert np.linalg.norm(dry - kept(tree, links, start, replace(fluid, added=0.0 * fluid.added))[1:4]) > 0.05
+
+
+def test_a_current_carries_everything_along() -> None:
+    """In the frame of the water the same happens: Galileo; of both steppers."""
+    tree, current = random_tree(3, 6), torch.tensor([[0.7, -0.4, 0.2]], dtype=F64)
+    links, start, fluid = random_links(tree, 2, 6), random_motion(tree, 2, 6), water(tree, 2, 6)
+    moving_water = replace(fluid, wind=current.expand(2, -1))
+    step: Callable[..., TreeState]
+    for step in (implicit_euler, rk4):
+        still, carried = start, replace(start, lin_vel=start.lin_vel + current)
+        for _ in range(3):
+            still = step(tree, links, (), still, 5e-3, gravity=G, fluid=fluid)
+            carried = step(tree, links, (), carried, 5e-3, gravity=G, fluid=moving_water)
+        back = replace(carried, position=carried.position - 0.015 * current, lin_vel=carried.lin_vel - current)
+        for name, rows in vars(still).items():
+            torch.testing.assert_close(getattr(back, name), rows, rtol=0.0, atol=1e-11)
+
+
+@pytest.mark.parametrize("force", [0.0, 1.2, 1.962])
+def test_a_pendulum_under_water_swings_with_the_water_that_it_moves(force: float) -> None:
+    """``(J + jy + (m + mx) l²) q'' = -(m g - F) l sin q``: water is not weighed; what is along the rod does nothing."""
+    mass, length, angles = 0.2, 0.5, (1e-4, 0.7, -2.5)
+    hinge = arm("rod", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0), link=link(mass, 0.0, 0.0, -length))
+    added = {"mx": 0.15, "rod.mz": 5.0, "my": 7.0, "jx": 2.0, "rod.jy": 0.01}
+    effects = {"link_buoyancy": {"rod.force": force}, "link_added_mass": added}
+    inertia, dt = 2e-3 + 0.01 + (mass + 0.15) * length**2, 1e-3
+    model, state = model_of(under_water((hinge,), effects, floating=False), gravity=G, num_envs=3)
+    angle = torch.tensor(angles, dtype=F64).unsqueeze(-1)
+    found = fly(model, replace(state, joint_pos=angle), dt, 1).joint_vel / dt
+    torch.testing.assert_close(found, -(mass * G - force) * length * angle.sin() / inertia, rtol=1e-12, atol=1e-12)
+    frequency = sqrt((mass * G - force) * length / inertia)
+    span, ends = 2.0, []
+    for steps in (40, 80):
+        model, state = model_of(under_water((hinge,), effects, floating=False), gravity=G)
+        state = replace(state, joint_pos=torch.full_like(state.joint_pos, angles[0]))
+        ends.append(float(fly(model, state, span / steps, steps).joint_pos[0, 0]) / angles[0])
+    assert 2.0 * ends[1] - ends[0] == pytest.approx(cos(frequency * span), abs=1e-2)
+
+
+def test_a_vane_in_a_current_turns_across_it() -> None:
+    """Munk: on a hinge through its centre ``(J + jz) q'' = (mx - my) v_x v_y`` with the current along its own axes: a rod,
+    whose my is the larger, turns away from the current until it lies across."""
+    hinge = arm("vane", (0.0, 0.0, 0.0), (0.2, 0.1, 0.0), link=link(0.1, 0.2, 0.1, 0.0))
+    effects = {"link_added_mass": {"vane.mx": 0.1, "vane.my": 0.6, "vane.jz": 0.01},
+               "constant_wind": {"x": 2.0, "y": 0.0, "z": 0.3}}  # fmt: skip
+    model, state = model_of(under_water((hinge,), effects, floating=False), num_envs=4, gravity=G)
+    angle = torch.tensor([[0.1], [-0.1], [0.5 * pi - 0.1], [0.5 * pi + 0.1]], dtype=F64)
+    found = fly(model, replace(state, joint_pos=angle), 1e-3, 1).joint_vel / 1e-3
+    expected = [(0.1 - 0.6) * 2.0 * cos(q) * -2.0 * sin(q) / (2.5e-3 + 0.01) for q in angle[:, 0].tolist()]
+    torch.testing.assert_close(found[:, 0], torch.tensor(expected, dtype=F64), rtol=1e-12, atol=0.0)
+    assert torch.sign(found[:, 0]).tolist() == [1.0, -1.0, 1.0, -1.0]  # away from the current, and to lie across
+
+
+def test_a_tree_of_one_link_moves_water_as_a_rigid_hull() -> None:
+    """With buoyancy, in a current: ``added_mass`` and ``added_inertia`` are other code, which changes forces."""
+    robot, numbers = ROBOTS.get("morphy_stiff"), [0.3, 0.8, 0.5, 2e-3, 1e-3, 3e-3]
+    rows = torch.tensor([numbers], dtype=F64).expand(3, -1)
+    lift = torch.tensor([[3.0, 0.02, -0.03, 0.1]], dtype=F64).expand(3, -1)
+    current = torch.tensor([[0.7, -0.4, 0.2]], dtype=F64).expand(3, -1)
+    wind = (EFFECTS.get("constant_wind"), current)
+    tree, state = of_one_link(robot, [(LinkAddedMass(), rows), (LinkBuoyancy(), lift), wind])
+    effects = [(EFFECTS.get("added_mass"), rows[:, :3]), (EFFECTS.get("added_inertia"), rows[:, 3:]), wind]
+    vehicle = vehicle_from_config(robot, num_envs=3, dtype=F64)
+    assert_flies_as_rigid(tree, build_model(vehicle, [*effects, (EFFECTS.get("buoyancy"), lift)]), state)
+
+
+def test_a_step_with_water_and_drag_is_of_order_one() -> None:
+    """Errors beside extrapolated steps of a robot that sinks in a current."""
+    effects = {
+        "link_added_mass": {"mx": 0.1, "my": 0.3, "mz": 0.5, "jx": 1e-3, "left.my": 0.6},
+        "link_drag": {"qx": 0.5, "qy": 0.5, "az": 0.01},
+        "constant_wind": {"x": 1.0, "y": -0.5, "z": 0.3},
+    }
+    model, start = model_of(under_water(crooked(), effects), gravity=G)
+    start = moving(start)
+    ends = []
+    for steps in (5, 10, 20, 40):
+        state = fly(model, start, 0.02 / steps, steps)
+        ends.append(torch.cat((state.position, state.lin_vel, state.ang_vel, state.joint_pos, state.joint_vel), dim=-1))
+    exact = ends[3] * 8 / 3 - 2 * ends[2] + ends[1] / 3
+    errors = [float((each - exact).norm()) for each in ends[:3]]
+    assert np.log2(errors[1] / errors[2]) == pytest.approx(1.0, abs=0.1)
+
+
+def test_gradients_flow_through_steps() -> None:
+    """For parameters, current, velocity, angles and rates, by differences."""
+    effects = {
+        "link_added_mass": {"mx": 0.1, "my": 0.3, "left.jx": 1e-3},
+        "constant_wind": {"x": 1.0, "y": 0.5, "z": 0.0},
+    }
+    model, state = model_of(under_water(crooked(), effects), gravity=G)
+    state, ((law, params), (wind, blows)) = moving(state), tuple(model.effects)
+
+    def end(rows: Tensor, air: Tensor, velocity: Tensor, angle: Tensor, rate: Tensor) -> Tensor:
+        there = replace(model, effects=type(model.effects)([(law, rows), (wind, air)]))
+        after = fly(there, replace(state, lin_vel=velocity, joint_pos=angle, joint_vel=rate), 0.01, 1)
+        return torch.cat((after.lin_vel, after.ang_vel, after.joint_vel), dim=-1)
+
+    inputs = (params, blows, state.lin_vel, state.joint_pos, state.joint_vel)
+    assert torch.autograd.gradcheck(end, tuple(rows.clone().requires_grad_() for rows in inputs))
+
+
+def test_what_cannot_be_is_refused_by_name() -> None:
+    morphy = replace(ROBOTS.get("morphy"), effects_source="test")
+    with pytest.raises(ConfigError, match="elevation_1 has no mass, at whose centre added mass acts"):
+        check_effects(replace(morphy, effects={"link_added_mass": {"elevation_1.mx": 0.1}}))
+    rigid = replace(ROBOTS.get("tinyprop"), effects={"link_added_mass": {"mx": 0.1}}, effects_source="test")
+    with pytest.raises(ConfigError, match="is rigid. Give it added_mass or added_inertia, or joints"):
+        check_effects(rigid)
+    with pytest.raises(
+        ConfigError, match="effect added_mass: is for rigid vehicles.*Give it link_added_mass, or leave out"
+    ):
+        check_effects(replace(morphy, effects={"added_mass": {"x": 1.0, "y": 1.0, "z": 1.0}}))
+    robot = replace(morphy, effects={"link_added_mass": {"mx": 0.1}})
+    for name in ("mujoco", "mujoco_warp"):
+        with pytest.raises(
+            CapabilityError, match=f"{name}: cannot run effect 'link_added_mass'. Use backend 'warp', 'torch'"
+        ):
+            choose_backend(name, needs=needs_of(robot, torch.device("cpu")))
+    assert choose_backend("auto", needs=needs_of(robot, torch.device("cpu"))).capabilities.joints
+    vehicle = vehicle_from_config(morphy, num_envs=1, dtype=F64)
+    bends = articulation_of(morphy, like=vehicle.mass)
+    twice = [(LinkAddedMass(), torch.zeros(1, 6, dtype=F64))] * 2
+    with pytest.raises(ConfigError, match="a vehicle has one fluid of links at most"):
+        build_model(vehicle, twice, articulation=bends)
