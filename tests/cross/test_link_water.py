@@ -9,6 +9,7 @@ from aerial_gym import SimBuilder
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.env_manager import SIMS
+from aerial_gym.errors import CapabilityError
 from aerial_gym.physics import BACKENDS, TorchBackend
 from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
@@ -59,6 +60,8 @@ def test_mujoco_carries_links_as_torch_does() -> None:
         ends = [fly(backend, robot, others, torch.float64) for backend in (TorchBackend(), BACKENDS.get("mujoco")())]
         for one, other in zip(*ends, strict=True):
             torch.testing.assert_close(one, other, rtol=1e-9, atol=1e-9)
+    with pytest.raises(CapabilityError, match="backend mujoco: bodies of MuJoCo have one mass along all axes"):
+        fly(BACKENDS.get("mujoco")(), CASES["added mass"][0], (), torch.float64)
 
 
 def test_a_reset_draws_the_buoyancy_of_a_link() -> None:

@@ -89,9 +89,14 @@ def test_physics_kernels_compile(controller: str, integrator: str, names: Sequen
 
 
 @pytest.mark.slow
-def test_the_physics_kernel_of_links_with_drag_compiles() -> None:
+def test_the_physics_kernel_of_links_with_effects_compiles() -> None:
     """On a stand, where the kernel is smallest."""
-    robot = replace(ROBOTS.get("morphy_fixed_base"), effects={"link_drag": {"qx": 0.1}}, effects_source="test")
+    values = {
+        "link_drag": {"qx": 0.1},
+        "link_buoyancy": {"force": 0.1, "x": 0.01},
+        "link_added_mass": {"mx": 0.1, "jx": 0.01},
+    }
+    robot = replace(ROBOTS.get("morphy_fixed_base"), effects=values, effects_source="test")
     vehicle = vehicle_from_config(robot, num_envs=2)
     effects = robot_effects(robot, num_envs=2, device=torch.device("cpu"), dtype=torch.float32)
     model = build_model(vehicle, effects, articulation=articulation_of(robot, like=vehicle.mass))
