@@ -3,6 +3,9 @@
 PYTHON ?= python3.11
 BIN := .venv/bin
 
+# Compiled once: without this, where bytecode is not to be written, each process compiles PyTorch anew, which takes 7 s.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: setup demo test test-slow kill-test fuzz undeclared lint format clean
 setup: .venv/ready
 
