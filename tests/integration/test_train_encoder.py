@@ -1,6 +1,8 @@
 """``aerial-gym train-encoder``: the folder that it leaves, its figures, and going on after an interruption."""
 
 import json
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import pytest
@@ -18,10 +20,18 @@ SMALL = [
 FILES = {"config.yaml", "versions.json", "curve.csv", "checkpoint.pth", "encoder.pt", "result.json", "images.png"}
 
 
-def test_folder_and_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "encoder"
-    assert main([*SMALL, "--out", str(out), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Return the folder of a training that was not interrupted, and what it printed."""
+    out, printed = tmp_path_factory.mktemp("whole") / "encoder", StringIO()
+    with redirect_stdout(printed):
+        assert main([*SMALL, "--out", str(out), "--json"]) == 0
+    return out, printed.getvalue()
+
+
+def test_folder_and_figures(whole: tuple[Path, str], capsys: pytest.CaptureFixture[str]) -> None:
+    out, printed = whole
+    found = json.loads(printed)
     assert {path.name for path in out.iterdir()} == FILES
     assert found == json.loads((out / "result.json").read_text())
     assert set(found["errors"]) == {"encoder", "pca_64", "mean_image"}
@@ -34,10 +44,9 @@ def test_folder_and_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 
 
 def test_interrupted_training_goes_on(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    whole: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As if it had never ended, bit for bit; settings other than its own are refused."""
-    assert main([*SMALL, "--out", str(tmp_path / "whole")]) == 0
     monkeypatch.setattr(training, "SAVE_EVERY_S", 0.0)
     whole_epoch = Fit.epoch
 
@@ -54,7 +63,7 @@ def test_interrupted_training_goes_on(
     assert main([*again, "--seed", "5"]) == 2
     assert "--seed: a resumed training keeps its own" in capsys.readouterr().err
     assert main(again) == 0
-    ours, theirs = (load_encoder(tmp_path / name / "encoder.pt").state_dict() for name in ("whole", "cut"))
+    ours, theirs = (load_encoder(folder / "encoder.pt").state_dict() for folder in (whole[0], tmp_path / "cut"))
     for name, value in ours.items():
         torch.testing.assert_close(value, theirs[name], atol=0.0, rtol=0.0)
 
