@@ -23,6 +23,9 @@ MORE_EFFECTS = (
     "rotor_drag", "actuation_delay", "quadratic_drag", "thrust_coefficient", "motor_time_constant", "constant_wind",
     "h_force_flapping", "imu_misalignment", "battery_sag", "ceiling_effect", "downwash", "joint_spring", "joint_creep",
 )  # fmt: skip
+BRIEF: dict[str, Any] = {"num_train": 3, "num_test": 1, "duration_s": 6.0}
+"""What runs always: half of the rows."""
+
 CAUSES = ("unknown_position", "unknown_periodic", "unknown_time", "unknown_heading")
 
 
@@ -51,7 +54,7 @@ def test_the_hidden_effect_is_named_and_measured(effect: str, tmp_path: Path) ->
     Deviations within the tolerances are fitted beside the effect and are not in the corrected model, so that what they took
     remains: 1.6 times the floor beside a shifted centre of mass.
     """
-    verdict, truth = run_case(tmp_path, {effect: "moderate"}, 211)
+    verdict, truth = run_case(tmp_path, {effect: "moderate"}, 211, **(BRIEF if effect in EFFECTS else {}))
     assert [found["name"] for found in verdict["effects"]] == [effect]
     assert verdict["verdict"] == "explained"
     found = verdict["effects"][0]
@@ -162,7 +165,7 @@ def test_a_structure_is_told_by_the_flights_that_reach_it(tmp_path: Path) -> Non
 
 
 def test_nothing_is_named_where_nothing_is_hidden(tmp_path: Path) -> None:
-    verdict, _ = run_case(tmp_path, {}, 212)
+    verdict, _ = run_case(tmp_path, {}, 212, **BRIEF)
     assert verdict["verdict"] == "none"
     assert verdict["effects"] == []
 

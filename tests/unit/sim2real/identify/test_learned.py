@@ -29,10 +29,11 @@ CUBIC = 0.08
 FORCES, TURNS = OUTPUTS[:3], OUTPUTS[3:]
 
 
-def flown(folder: Path, cubic: float) -> tuple[list[Path], Path]:
+def flown(folder: Path, cubic: float, *, seconds: float = 8.0) -> tuple[list[Path], Path]:
     """Return three training flights and a test flight."""
     paths = [
-        write(flight(20 + n, noise=1.0, seconds=8.0, rate=100.0, cubic=cubic), folder / f"f{n}.csv") for n in range(4)
+        write(flight(20 + n, noise=1.0, seconds=seconds, rate=100.0, cubic=cubic), folder / f"f{n}.csv")
+        for n in range(4)
     ]
     return paths[:3], paths[3]
 
@@ -55,8 +56,8 @@ def left_out_of(predictor: Predictor) -> LeftOut:
     )
 
 
-def learn(folder: Path, cubic: float) -> tuple[Learned, list[Flight]]:
-    train, test = flown(folder, cubic)
+def learn(folder: Path, cubic: float, *, seconds: float = 8.0) -> tuple[Learned, list[Flight]]:
+    train, test = flown(folder, cubic, seconds=seconds)
     fit, held = load_train_and_test(ROBOT, train, [test], None, 10.0)
     predictor, params = predictor_of(fit), declared_params(ROBOT)
     learned = train_residual(predictor, params, left_out_of(predictor))
@@ -108,7 +109,7 @@ def test_training_repeats_itself(tmp_path: Path) -> None:
 
 
 def test_noise_is_not_learned(tmp_path: Path) -> None:
-    learned, _ = learn(tmp_path, 0.0)
+    learned, _ = learn(tmp_path, 0.0, seconds=4.0)
     assert learned.cfg is None
     assert learned.effect is None
     assert "not added: takes at most" in learned.sentence
