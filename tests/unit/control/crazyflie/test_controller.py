@@ -323,11 +323,14 @@ def test_an_axis_that_a_robot_leaves_alone_is_left_alone(name: str) -> None:
 
 
 def test_lee_with_integrals_holds_a_weight_and_a_torque_that_nobody_declared() -> None:
-    """3 % more weight, the centre of mass 2 mm ahead: of 0.03 g / K_p, and of x, a twentieth at most is left after 20 s."""
+    """3 % more weight, the centre of mass 2 mm ahead: of 0.03 g / K_p, and of x, a twentieth at most is left after 20 s.
+
+    Without integrals all of it stands after 8 s.
+    """
     plant = replace(X500, body=replace(X500.body, com=(0.002, 0.0, 0.0)))
     kept, left = (
-        fly(law_of(LEE, dt=0.02, **own), plant, 20.0, [0.0] * 4, heavier=1.03, dt=0.02)[-1].position[0].abs()
-        for own in ({"crazyflie_lee": CrazyflieLeeCfg(Kpos_I=(0.2, 0.2, 0.2))}, {})
+        fly(law_of(LEE, dt=0.02, **own), plant, span, [0.0] * 4, heavier=1.03, dt=0.02)[-1].position[0].abs()
+        for own, span in (({"crazyflie_lee": CrazyflieLeeCfg(Kpos_I=(0.2, 0.2, 0.2))}, 20.0), ({}, 8.0))
     )
     stiffness = law_of(LEE, dt=0.02).gains.lee.position[0, 2]
     assert float(left[2]) == pytest.approx(0.03 * 9.81 / float(stiffness), rel=0.01)
@@ -341,7 +344,10 @@ def test_the_integral_of_attitude_takes_away_what_a_torque_leaves() -> None:
     plant = replace(X500, body=replace(X500.body, com=(0.002, 0.0, 0.0)))
     own = CrazyflieLeeCfg(KI=(1.0, 1.0, 0.1))
     laws = law_of(LEE, dt=0.02, crazyflie_lee=own), law_of(LEE, dt=0.02)
-    kept, left = (float(fly(law, plant, 15.0, [0.0] * 4, dt=0.02)[-1].position[0, 0].abs()) for law in laws)
+    kept, left = (
+        float(fly(law, plant, span, [0.0] * 4, dt=0.02)[-1].position[0, 0].abs())
+        for law, span in zip(laws, (15.0, 8.0), strict=True)
+    )
     assert left > 0.02
     assert kept < 0.1 * left
     gains, weight = laws[0].gains, X500.body.mass * 9.81
