@@ -35,7 +35,7 @@ last place is 2.5e-5 of the first. It shows as 90 rad/s at the last rod, on its 
 NUDGES = (0, 1, -1)
 """Float32 torch flies from starts that differ in the last place: one alone may be lucky where a light rod hits its end."""
 
-NUM_ENVS, DT, SUBSTEPS, STEPS = 24, 0.002, 5, 20
+NUM_ENVS, DT, SUBSTEPS, STEPS = 24, 0.002, 5, 10
 
 
 def odd_tree() -> RobotCfg:

@@ -96,9 +96,12 @@ def fly(
     return tuple(tensor.double() for tensor in state.tensors())
 
 
-@pytest.mark.parametrize("case", often(CASES, ("on a stand", "everything")))
+@pytest.mark.parametrize("case", often(CASES, ("on a stand",)))
 def test_the_fused_step_with_drag_is_that_of_the_reference(case: str) -> None:
-    """A star of universal joints, a chain, a stand, and a tree that has everything; drag is seen in all that moves."""
+    """A star of universal joints, a chain, a stand, and a tree that has everything; drag is seen in all that moves.
+
+    A tree flies with it always among the effects at hubs of ``test_joints``.
+    """
     name, drag, others = CASES[case]
     robot = with_drag(name, drag)
     exact = fly(TorchBackend(), robot, others, torch.float64)
