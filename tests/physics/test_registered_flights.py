@@ -85,7 +85,7 @@ FAST = [name for name, cfg in geometric_controllers().items() if cfg.inner is No
 
 
 def shared_out() -> list[tuple[str, str]]:
-    """Return every sixth robot with the position controller, and of every twentieth flight every second controller.
+    """Return every ninth robot with the position controller, and of every thirtieth flight every second controller.
 
     ``test_nor_with_any_other_controller_at_any_sim`` flies all of them.
     """
@@ -93,7 +93,7 @@ def shared_out() -> list[tuple[str, str]]:
         (robot, controller)
         for i, robot in enumerate(different_robots())
         for j, controller in enumerate(FAST)
-        if (i % 6 == 0 and controller == "lee_position_control") or ((i + j) % 20 == 0 and j % 2 == 1)
+        if (i % 9 == 0 and controller == "lee_position_control") or ((i + j) % 30 == 0 and j % 2 == 1)
     ]
 
 
