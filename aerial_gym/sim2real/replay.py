@@ -115,7 +115,7 @@ def replay_flights(robot: RobotCfg, flights: Sequence[Flight], *, bandwidth: flo
         predictor=predictor,
         params=params,
         bandwidth=band,
-        evaluation=evaluate(robot, flights, predictor, params, floor=floor, seed=seed),
+        evaluation=evaluate(robot, predictor, [params], floor=floor, seed=seed)[0],
     )
 
 

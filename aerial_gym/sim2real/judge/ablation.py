@@ -19,7 +19,7 @@ from aerial_gym.sim2real.judge.whiteness import EDGES, in_octaves, lines
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.rollout import QUANTITIES, RolloutErrors, roll_out
+from aerial_gym.sim2real.predict.rollout import QUANTITIES, RolloutErrors, roll_out_models
 from aerial_gym.sim2real.statistics import Rise, rise_with_interval
 
 Array = NDArray[np.float64]
@@ -136,21 +136,23 @@ def ablations(
     """
     train, tested = predictors
     _, final = points
+    without = {name: selection.chosen.without[name].params for name in selection.accepted}
+    flown: list[RolloutErrors] = []
+    if "free" in evaluations[0].rollouts:
+        if len(without) > 1:
+            models, links = list(without.values()), [tested.links(less) for less in without.values()]
+            flown = [one["free"] for one in roll_out_models(robot, test, models, {"free": False}, links=links)]
+        else:  # it is the declared model
+            flown = [evaluations[0].rollouts["free"]]
     residuals, group, flight = tested.residuals(final), time_groups(tested.times), flight_of_rows(tested.times)
     residual = np.concatenate(residuals)
     found = {}
-    for name in selection.accepted:
-        less = selection.chosen.without[name].params
+    for place, (name, less) in enumerate(without.items()):
         left = tested.residuals(less)
         rises = rise_with_interval(np.concatenate(left), residual, group, flight)
         most = int(np.argmax([rise.value for rise in rises]))
         octaves = taken_from_octaves(tested, left, residuals, most)
-        rollout: dict[float, dict[str, Rise]] = {}
-        if "free" in evaluations[1].rollouts:
-            alone = len(selection.accepted) == 1
-            links = None if alone else tested.links(less)
-            errors = evaluations[0].rollouts["free"] if alone else roll_out(robot, test, less, links=links)
-            rollout = rollout_rises(errors, evaluations[1].rollouts["free"])
+        rollout = rollout_rises(flown[place], evaluations[1].rollouts["free"]) if flown else {}
         found[name] = Ablation(
             residual={channel.name: rise for channel, rise in zip(tested.channels, rises, strict=True)},
             rollout=rollout,

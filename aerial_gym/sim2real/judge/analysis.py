@@ -65,15 +65,13 @@ def judge(selected: Selected, *, seed: int, learn_residual: bool, progress: Prog
     """
     declared, selection, tested = selected.declared, selected.selection, selected.declared.test
 
-    def on_test(params: ModelParams, floor: Array | None) -> Evaluation:
-        return evaluate(declared.robot, tested.flights, tested, params, floor=floor, seed=seed)
-
-    progress("rollouts of the declared and the corrected model", 0.7)
+    progress("the noise floor of the test flights", 0.7)
     floors = floors_in_declared_wind(declared, selected.params)
     still = of_all_flights(floors)
-    before = on_test(declared.params, still)
-    progress("rollouts of the corrected model", 0.85)
-    named = on_test(selected.params, still) if selection.accepted else before
+    progress("rollouts of the declared and the corrected model", 0.8)
+    pair = (declared.params, selected.params) if selection.accepted else (declared.params,)
+    evaluations = evaluate(declared.robot, tested, pair, floor=still, seed=seed)
+    before, named = evaluations[0], evaluations[-1]
     unexplained = find_unexplained(declared.train, tested, selection, (declared.params, selected.params), named, still)
     progress("what each effect is worth", 0.93)
     effects = judged_effects(selected, before, named, unexplained.floor, seed=seed)
@@ -86,7 +84,7 @@ def judge(selected: Selected, *, seed: int, learn_residual: bool, progress: Prog
         params, after = selected.params, unexplained.above_its_floor(named)
     else:
         params = replace(selected.params, learned=learned.effect)
-        after = on_test(params, unexplained.floor)
+        (after,) = evaluate(declared.robot, tested, [params], floor=unexplained.floor, seed=seed)
     gusts = () if NAME in declared.robot.effects or not unexplained.wind.accepted else (unexplained.wind.named(),)
     kind, reason, candidates = decision(selected, unexplained, gusts)
     became: tuple[Outcome, ...] = ()

@@ -12,7 +12,7 @@ from aerial_gym.sim2real.logs.flights import Flight, names_of
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.rollout import QUANTITIES, RolloutErrors, roll_out_variants
+from aerial_gym.sim2real.predict.rollout import QUANTITIES, RolloutErrors, roll_out_models
 from aerial_gym.sim2real.statistics import Rms, rms_with_interval
 
 Array = NDArray[np.float64]
@@ -69,29 +69,25 @@ class Evaluation:
 
 
 def evaluate(
-    robot: RobotCfg,
-    flights: Sequence[Flight],
-    predictor: Predictor,
-    params: ModelParams,
-    *,
-    floor: Array | None,
-    seed: int,
-) -> Evaluation:
-    """Return residuals and rollouts of a model on flights that were not used for its fit."""
-    residuals = predictor.residuals(params)
-    group = time_groups(predictor.times)
-    rollouts: dict[str, RolloutErrors] = {}
+    robot: RobotCfg, predictor: Predictor, models: Sequence[ModelParams], *, floor: Array | None, seed: int
+) -> list[Evaluation]:
+    """Return residuals and rollouts of each model on flights that were not used for its fit."""
+    flights, group = predictor.flights, time_groups(predictor.times)
+    residuals = [np.concatenate(predictor.residuals(one)) for one in models]
+    rollouts: list[dict[str, RolloutErrors]] = [{} for _ in models]
     if not missing_for_rollouts(flights):
-        links, sizes = predictor.links(params), predictor.tolerances
-        variants = {"free": False, "given_attitude": True}
-        rollouts = roll_out_variants(robot, flights, params, variants, links=links, tolerances=sizes)
-    return Evaluation(
-        channels=predictor.channels,
-        residual=tuple(rms_with_interval(np.concatenate(residuals), group, seed=seed)),
-        floor=None if floor is None else tuple(floor.tolist()),
-        rollouts=rollouts,
-        rollout={name: _rollout_rms(errors, seed) for name, errors in rollouts.items()},
-    )
+        links, variants = [predictor.links(one) for one in models], {"free": False, "given_attitude": True}
+        rollouts = roll_out_models(robot, flights, models, variants, links=links, tolerances=predictor.tolerances)
+    return [
+        Evaluation(
+            channels=predictor.channels,
+            residual=tuple(rms_with_interval(residual, group, seed=seed)),
+            floor=None if floor is None else tuple(floor.tolist()),
+            rollouts=flown,
+            rollout={name: _rollout_rms(errors, seed) for name, errors in flown.items()},
+        )
+        for residual, flown in zip(residuals, rollouts, strict=True)
+    ]
 
 
 def missing_for_rollouts(flights: Sequence[Flight]) -> str:

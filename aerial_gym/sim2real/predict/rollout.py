@@ -25,14 +25,15 @@ from aerial_gym.physics import (
     build_model,
     vehicle_from_config,
 )
-from aerial_gym.physics.effects import CommandEffect, DelayEffect, LoadEffect, RotorSensorEffect
+from aerial_gym.physics.effects import CommandEffect, DelayEffect, FluidEffect, LoadEffect, RotorSensorEffect
 from aerial_gym.physics.memory import Memory, make_memory, place_memory
+from aerial_gym.physics.model import EffectParams
 from aerial_gym.physics.rotor_lag import Ramp
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams, effects_at
 from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
 from aerial_gym.sim2real.predict.replay.memory import remembering, track_of
-from aerial_gym.sim2real.predict.replay.rotor_commands import is_commanded, with_arriving_commands
+from aerial_gym.sim2real.predict.replay.rotor_commands import acts_on_commands, is_commanded, with_arriving_commands
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rows.batches import expand_rows, one_row, with_known_wind
 from aerial_gym.sim2real.predict.scene import heights, other_along
@@ -76,75 +77,104 @@ class RolloutErrors:
     """commands or measured rotor speeds."""
 
 
-def roll_out(
-    robot: RobotCfg,
-    flights: Sequence[Flight],
-    params: ModelParams,
-    *,
-    links: Sequence[Link] | None = None,
-    horizons: Sequence[float] = HORIZONS_S,
-    given_attitude: bool = False,
-    tolerances: Tolerances | None = None,
-) -> RolloutErrors:
-    """Return the open-loop errors of a model; arguments as for ``roll_out_variants``."""
-    variant = {"": given_attitude}
-    return roll_out_variants(robot, flights, params, variant, links=links, horizons=horizons, tolerances=tolerances)[""]
-
-
 @torch.inference_mode()
-def roll_out_variants(
+def roll_out_models(
     robot: RobotCfg,
     flights: Sequence[Flight],
-    params: ModelParams,
+    models: Sequence[ModelParams],
     variants: Mapping[str, bool],
     *,
-    links: Sequence[Link] | None = None,
+    links: Sequence[Sequence[Link] | None],
     horizons: Sequence[float] = HORIZONS_S,
     tolerances: Tolerances | None = None,
-) -> dict[str, RolloutErrors]:
-    """Return the open-loop errors of a model in some variants, flown side by side.
+) -> list[dict[str, RolloutErrors]]:
+    """Return the open-loop errors of models in some variants, flown side by side: a step takes as long for a few windows.
 
     Args:
         robot: Declared robot.
         flights: Flights with velocity.
-        params: Effects of the model, and its deviations within the tolerances.
+        models: Effects of each, and its deviations within the tolerances.
         variants: Of each, whether attitude and angular velocity are set to the measured ones after every step.
-        links: How its load swings along each flight; None: as if it hung still when the log begins.
+        links: How the load of each model swings along each flight; None: as if it hung still when the log begins.
         horizons: When to compare [s]; those that no flight is long enough for are left out.
         tolerances: Sizes of the deviations; None: the usual ones.
     """
+    if len(models) > 1 and not _fit_together(models, flights):
+        return [
+            found
+            for one, own in zip(models, links, strict=True)
+            for found in roll_out_models(
+                robot, flights, [one], variants, links=[own], horizons=horizons, tolerances=tolerances
+            )
+        ]
     longest = max(float(flight.time[-1]) for flight in flights)
     kept = tuple(h for h in horizons if FIRST_WINDOW_S + h + 2.0 * STEP_S < longest)
     windows = find_windows(flights, max(kept))
     commanded = is_commanded(flights)
     declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
-    off = deviated(declared, tolerances or Tolerances(), params.deviation)
-    if commanded:
-        flights = with_arriving_commands(off, flights, params)
-    shape = (len(variants), windows.row.size, len(kept))
-    errors = {name: np.full(shape, np.nan) for name in QUANTITIES}
-    load = None if links is None else load_at(links, flights, windows)
+    off = deviated(declared, tolerances or Tolerances(), models[0].deviation)
+    flown = [with_arriving_commands(off, flights, one) if commanded else flights for one in models]
+    shape = (len(models), len(variants))
+    errors = {name: np.full((*shape, windows.row.size, len(kept)), np.nan) for name in QUANTITIES}
+    load = None if links[0] is None else load_at(links[0], flights, windows)
     for members in same_rate(flights, windows):
-        every = np.tile(members, len(variants))
-        starts = windows.flight[every], windows.row[every]
-        begun = None if load is None else load[every]
-        run = Batch(off.vehicle, params, flights, *starts, load=begun, settled=off.joint_start)
+        model, variant, window = (np.ravel(i) for i in np.indices((*shape, members.size)))
+        every = members[window]
+        run = Batch(
+            off.vehicle,
+            _effects_of(robot, models, model),
+            [flight for of_model in flown for flight in of_model],
+            windows.flight[every] + len(flights) * model,
+            windows.row[every],
+            load=None if load is None else load[every],
+            settled=off.joint_start,
+        )
         at = {run.steps(horizon): place for place, horizon in enumerate(kept)}
-        given = np.repeat(list(variants.values()), members.size)
+        given = np.array(list(variants.values()))[variant]
         for step, state, truth in run.fly(run.measured(0), at, given_attitude=given):
             for name, values in _distances(state, truth).items():
-                errors[name][:, members, at[step]] = values.reshape(len(variants), -1)
-    return {
-        variant: RolloutErrors(
-            windows=windows,
-            horizons=kept,
-            position=errors["position"][place] if all(f.position is not None for f in flights) else None,
-            velocity=errors["velocity"][place] if all(f.lin_vel is not None for f in flights) else None,
-            attitude=None if given_attitude else errors["attitude"][place],
-            driven_by="commands" if commanded else "measured rotor speeds",
-        )
-        for place, (variant, given_attitude) in enumerate(variants.items())
-    }
+                errors[name][:, :, members, at[step]] = values.reshape(*shape, -1)
+    placed, moving = (all(getattr(f, name) is not None for f in flights) for name in ("position", "lin_vel"))
+    driven_by = "commands" if commanded else "measured rotor speeds"
+    return [
+        {
+            variant: RolloutErrors(
+                windows=windows,
+                horizons=kept,
+                position=errors["position"][of_model, place] if placed else None,
+                velocity=errors["velocity"][of_model, place] if moving else None,
+                attitude=None if given_attitude else errors["attitude"][of_model, place],
+                driven_by=driven_by,
+            )
+            for place, (variant, given_attitude) in enumerate(variants.items())
+        }
+        for of_model in range(len(models))
+    ]
+
+
+def _fit_together(models: Sequence[ModelParams], flights: Sequence[Flight]) -> bool:
+    """Return whether models can be flown in one batch: what one lacks is neutral there, and none remembers or hangs a load.
+
+    All from the same vehicle, and from measured rotor speeds.
+    """
+    effects = [EFFECTS.get(name) for one in models for name in one.effects if not acts_on_commands(name)]
+    return (
+        all(one.deviation is None and one.learned is None for one in models)
+        and all(flight.rotor_speed is not None for flight in flights)
+        and not any(effect.remembers or effect.kind in (LoadEffect, FluidEffect) for effect in effects)
+    )
+
+
+def _effects_of(robot: RobotCfg, models: Sequence[ModelParams], model: NDArray[np.int64]) -> list[EffectParams]:
+    """Return the effects of models with the parameters in each window, (W, P), neutral where its ``model`` (W,) has none."""
+    if len(models) == 1:
+        return effects_at(models[0], model.size)
+    found = list[EffectParams]()
+    for name in dict.fromkeys(name for one in models for name in one.effects):
+        effect = EFFECTS.get(name)
+        params = np.array([one.effects.get(name, effect.neutral(robot)) for one in models])
+        found.append((effect, torch.from_numpy(params[model])))
+    return found
 
 
 def load_at(links: Sequence[Link], flights: Sequence[Flight], windows: Windows) -> Array:
@@ -162,7 +192,7 @@ class Batch:
     def __init__(
         self,
         vehicle: Vehicle,
-        params: ModelParams,
+        effects: Sequence[EffectParams],
         flights: Sequence[Flight],
         flight: NDArray[np.int64],
         row: NDArray[np.int64],
@@ -174,7 +204,7 @@ class Batch:
 
         Args:
             vehicle: Of the model, one environment.
-            params: Its effects.
+            effects: With their parameters in each window, (W, P).
             flights: With the commands that arrive.
             flight: Flight of each window, (W,).
             row: Where it starts, (W,).
@@ -188,8 +218,7 @@ class Batch:
         self._rate, self._commanded = flights[flight[0]].rate, is_commanded(flights)
         self._stride = max(1, int(STEP_S * self._rate + 1e-9))
         self._rotors = vehicle.num_rotors
-        names = [n for n in params.effects if self._commanded or EFFECTS.get(n).acts_on != "actuation"]
-        effects = effects_at(replace(params, effects={name: params.effects[name] for name in names}), row.size)
+        effects = [one for one in effects if self._commanded or one[0].acts_on != "actuation"]
         scene = heights([flights[index] for index in flight], [1] * row.size)
         model = build_model(expand_rows(vehicle, row.size), effects, **scene)
         flown = replace(model, effects=model.effects.without(DelayEffect, CommandEffect))  # they have acted

@@ -20,10 +20,10 @@ from aerial_gym.sim2real.logs.inputs import load_train_and_test
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import declared_params
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.rollout import roll_out
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.physics.vehicles import random_network
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.one_rollout import roll_out
 
 CUBIC = 0.08
 FORCES, TURNS = OUTPUTS[:3], OUTPUTS[3:]

@@ -129,7 +129,7 @@ def test_rollouts_are_made_only_of_logs_that_hold_where_they_begin(tmp_path) -> 
     for flights, made in (([whole[0], blind], False), ([turning, whole[1]], False), (whole, True)):
         channels = find_channels(flights)
         test = Predictor(ROBOT, flights, bandwidth=10.0, channels=channels, tolerances=Tolerances())
-        found = evaluate(ROBOT, flights, test, ModelParams(), floor=np.ones(len(channels)), seed=0)
+        (found,) = evaluate(ROBOT, test, [ModelParams()], floor=np.ones(len(channels)), seed=0)
         assert bool(found.rollouts) is made
 
 

@@ -28,7 +28,7 @@ from aerial_gym.sim2real.predict.model_params import ModelParams, declared_param
 from aerial_gym.sim2real.predict.noise_floor import noise_floor, square_of_slow_rounding
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
-from aerial_gym.sim2real.predict.rollout import FARTHEST, roll_out, roll_out_variants
+from aerial_gym.sim2real.predict.rollout import FARTHEST, roll_out_models
 from aerial_gym.sim2real.predict.rows.batches import together
 from aerial_gym.sim2real.predict.rows.dataset import thinned
 from aerial_gym.sim2real.predict.tolerances import Tolerances, command_shift, deviate, joint_start, sensed
@@ -36,6 +36,7 @@ from aerial_gym.sim2real.predict.windows import find_windows
 from tests.physics.vehicles import BATTERY
 from tests.repetitions import often
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.one_rollout import roll_out
 
 BAND = 10.0
 
@@ -292,16 +293,31 @@ def test_rollouts_of_slow_logs_are_integrated_finely_enough(tmp_path: Path, monk
     np.testing.assert_allclose(usual.position, fine.position, atol=2e-3)
 
 
-def test_rollouts_side_by_side_are_those_of_each_variant_alone(tmp_path: Path) -> None:
-    """Free and with the measured attitude, bit for bit; the second one differs from the first."""
-    found, params = load(tmp_path), ModelParams(effects={"com_offset": np.array([0.01, 0.0, 0.0])})
-    both = roll_out_variants(ROBOT, [found], params, {"free": False, "given": True}, horizons=(0.1, 0.5))
-    for variant, given in (("free", False), ("given", True)):
-        alone = roll_out(ROBOT, [found], params, horizons=(0.1, 0.5), given_attitude=given)
-        np.testing.assert_array_equal(both[variant].position, alone.position)
-        np.testing.assert_array_equal(both[variant].velocity, alone.velocity)
-    assert both["given"].attitude is None
-    assert np.abs(both["free"].velocity - both["given"].velocity).max() > 0.01
+def test_rollouts_side_by_side_are_those_of_each_model_and_variant_alone(tmp_path: Path) -> None:
+    """To rounding, as rows that differ are worked out in another order; free ones differ from those with given attitude.
+
+    The last model remembers, so that each is flown by itself.
+    """
+    found, variants = load(tmp_path), {"free": False, "given": True}
+    com, wind, drag = np.array([0.01, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]), np.full(3, 0.25)
+    models = [
+        ModelParams(),
+        ModelParams(effects={"com_offset": com, "rotor_drag": drag}),
+        ModelParams(effects={"constant_wind": wind, "rotor_drag": drag}),
+    ]
+    creeping = ModelParams(effects={"joint_creep": np.array([0.4, 30.0, 0.4])})
+    for some in (models, [*models[:1], creeping]):
+        together = roll_out_models(ROBOT, [found], some, variants, links=[None] * len(some), horizons=(0.1, 0.5))
+        for of_model, params in zip(together, some, strict=True):
+            for variant, given in variants.items():
+                alone = roll_out(ROBOT, [found], params, horizons=(0.1, 0.5), given_attitude=given)
+                np.testing.assert_allclose(of_model[variant].position, alone.position, rtol=1e-9, atol=1e-12)
+                np.testing.assert_allclose(of_model[variant].velocity, alone.velocity, rtol=1e-9, atol=1e-12)
+            assert of_model["given"].attitude is None
+        declared, *others = (of_model["free"].velocity for of_model in together)
+        assert min(np.abs(other - declared).max() for other in others) > 1e-3
+        if some is models:
+            assert np.abs(together[1]["free"].velocity - together[1]["given"].velocity).max() > 0.01
 
 
 def test_windows_cover_every_flight_and_fit_the_longest_horizon(tmp_path: Path) -> None:

@@ -16,11 +16,11 @@ from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.rollout import roll_out
 from aerial_gym.sim2real.predict.scene import lacks_of_scene
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.replay import replay_flights
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.one_rollout import roll_out
 
 RADIUS, HUB = 0.1, 0.01
 NEAR = replace(ROBOT, rotor=replace(ROBOT.rotor, radius=RADIUS))

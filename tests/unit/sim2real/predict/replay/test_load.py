@@ -27,11 +27,11 @@ from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.replay.load import STEP_S, LoadReplay
 from aerial_gym.sim2real.predict.replay.load_swing import swing
-from aerial_gym.sim2real.predict.rollout import roll_out
 from aerial_gym.sim2real.predict.scene import lacks_of_scene
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.physics.vehicles import F64, lopsided_robot, random_state
 from tests.unit.sim2real.flat_flights import ROBOT
+from tests.unit.sim2real.one_rollout import roll_out
 from tests.unit.sim2real.predict.test_scene import RATE, hover
 
 G = 9.81

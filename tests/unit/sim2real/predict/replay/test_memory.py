@@ -17,14 +17,15 @@ from aerial_gym.physics.effects.arm_joint import ArmJoint
 from aerial_gym.physics.effects.track import Track, relax
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.predict.channels import find_channels
-from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
+from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params, effects_at
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.replay.memory import track_of
-from aerial_gym.sim2real.predict.rollout import Batch, roll_out
+from aerial_gym.sim2real.predict.rollout import Batch
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from benchmarks.undeclared import make_case
 from benchmarks.undeclared.sensors import NOISELESS
 from tests.unit.sim2real.flat_flights import ROBOT, load_flight
+from tests.unit.sim2real.one_rollout import roll_out
 from tests.unit.sim2real.predict.test_scene import RATE, hover
 
 Array = NDArray[np.float64]
@@ -196,7 +197,7 @@ def test_windows_of_one_batch_begin_each_with_the_arms_of_its_flight(compliance:
     flights = [still, replace(still, name="b", rotor_speed=np.sqrt(uneven) * still.rotor_speed)]
     params = ModelParams(effects={"joint_creep": np.array([compliance, 30.0, 0.4])})
     vehicle = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)
-    run = Batch(vehicle, params, flights, np.array([0, 0, 1, 1]), np.array([100, 200, 100, 200]))
+    run = Batch(vehicle, effects_at(params, 4), flights, np.array([0, 0, 1, 1]), np.array([100, 200, 100, 200]))
     ((_, state, _),) = run.fly(run.measured(0), {run.steps(0.1)})
     push = np.stack([np.ones(4), np.ones(4), uneven, uneven])
     angle = compliance * 0.6 * ARM * THRUST * push
@@ -257,6 +258,6 @@ def test_an_effect_with_memory_is_one_class(monkeypatch: pytest.MonkeyPatch) -> 
     np.testing.assert_allclose(found - bare, push(predictor.times[0]) / ROBOT.body.mass, rtol=2e-3)
     vehicle = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)
     rows = np.array([100, 200, 260])
-    run = Batch(vehicle, params, [flight], np.zeros(3, dtype=int), rows)
+    run = Batch(vehicle, effects_at(params, 3), [flight], np.zeros(3, dtype=int), rows)
     ((_, state, _),) = run.fly(run.measured(0), {run.steps(0.1)})
     np.testing.assert_allclose(state.lin_vel[:, 0], 0.1 * push(rows / RATE + 0.05) / ROBOT.body.mass, rtol=3e-3)

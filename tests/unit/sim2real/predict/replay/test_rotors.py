@@ -24,10 +24,11 @@ from aerial_gym.sim2real.predict.model_params import ModelParams, declared_param
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.replay.rotor_lag import follow_commands
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
-from aerial_gym.sim2real.predict.rollout import Batch, roll_out
+from aerial_gym.sim2real.predict.rollout import Batch
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.replay import replay_flights
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.one_rollout import roll_out
 from tests.unit.sim2real.predict.test_scene import RATE, hover
 
 F64 = torch.float64
@@ -304,7 +305,7 @@ def test_windows_without_measured_speeds_begin_as_the_commands_have_led_the_roto
     rows = np.array([100, 105, 120])
     for factor in (1.0, 2.0):
         lagging = replace(vehicle, time_constant_up=factor * vehicle.time_constant_up)
-        run = Batch(lagging, ModelParams(), flights, np.zeros(3, dtype=int), rows)
+        run = Batch(lagging, [], flights, np.zeros(3, dtype=int), rows)
         expected = high + (low - high) * np.exp(-(rows - 100) / RATE / (factor * 0.04))
         np.testing.assert_allclose(run.measured(0).rotor_speed, np.tile(expected[:, None], 4), rtol=1e-12)
 

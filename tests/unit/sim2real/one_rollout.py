@@ -1,0 +1,24 @@
+"""The open-loop errors of one model alone, for tests."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.replay.load import Link
+from aerial_gym.sim2real.predict.rollout import RolloutErrors, roll_out_models
+
+
+def roll_out(
+    robot: RobotCfg,
+    flights: Sequence[Flight],
+    params: ModelParams,
+    *,
+    links: Sequence[Link] | None = None,
+    given_attitude: bool = False,
+    **options: Any,
+) -> RolloutErrors:
+    """Return the open-loop errors of a model; arguments as for ``roll_out_models``."""
+    (found,) = roll_out_models(robot, flights, [params], {"": given_attitude}, links=[links], **options)
+    return found[""]
