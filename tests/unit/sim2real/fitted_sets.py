@@ -87,6 +87,7 @@ def chosen_of(best: Fitted, *others: Fitted, named: Fitted | None = None, **foun
         best=best,
         fits=tuple(sorted((best, *others), key=lambda one: -one.log_posterior)),
         weights=Weighting(variance=np.ones(1), effective=np.ones(1)),
+        tolerated=np.zeros(1),
         **none | found,
     )
 

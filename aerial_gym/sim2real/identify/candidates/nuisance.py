@@ -24,13 +24,12 @@ from aerial_gym.sim2real.identify.candidates.structure import (
     motion_of,
     rows_of,
 )
-from aerial_gym.sim2real.identify.least_squares.derivatives import single, tolerated
+from aerial_gym.sim2real.identify.least_squares.derivatives import single
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets
 from aerial_gym.sim2real.identify.least_squares.weighted import InChannels
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel
-from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
@@ -209,17 +208,17 @@ def _beyond(functions: Sequence[Array], effects: Sequence[Sequence[Array]]) -> l
     return np.split(whole - made, ends)
 
 
-def most_of_flights(predictor: Predictor, declared: ModelParams) -> Array:
+def most_of_flights(predictor: Predictor, tolerated: Array) -> Array:
     """Return how large offsets of single flights are at most in each channel, (C,).
 
-    As large as what the declared vehicle may be off by, anew in each flight; an accelerometer by more (``acc_of_flight``), a
+    As large as what is ``tolerated`` there, (C,), anew in each flight; an accelerometer by more (``acc_of_flight``), a
     force that is derived from the velocity by nothing: no sensor has felt it. What differs more between flights is no offset:
     flights in different winds differ by drag.
     """
     force = np.array([channel.kind in FORCES for channel in predictor.channels])
     if not all(flight.accelerometer for flight in predictor.flights):
-        return np.where(force, 0.0, tolerated(predictor, declared))
-    return np.hypot(tolerated(predictor, declared), force * predictor.tolerances.acc_of_flight)
+        return np.where(force, 0.0, tolerated)
+    return np.hypot(tolerated, force * predictor.tolerances.acc_of_flight)
 
 
 def _offsets(channels: Sequence[Channel], present: Sequence[Array], most: Array) -> list[Nuisance]:

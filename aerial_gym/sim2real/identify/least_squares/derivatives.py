@@ -80,11 +80,13 @@ def tolerance_jacobian(
     return found
 
 
-def tolerated(predictor: Predictor, params: ModelParams) -> Array:
-    """Return the residual (rms) that the tolerances of the vehicle, and not those of its log, cause in each channel, (C,)."""
-    vehicle = np.logical_not(of_logs(predictor.robot.num_rotors))
-    parts = [part[:, :, vehicle] for part in tolerance_jacobian(predictor, params)]
-    return np.sqrt(np.concatenate([(part**2).sum(axis=2) for part in parts]).mean(axis=0))
+def tolerated(tolerance: Derivatives, num_rotors: int) -> Array:
+    """Return the residual (rms) that the tolerances of the vehicle, and not those of its log, cause in each channel, (C,).
+
+    ``tolerance`` are the derivatives by all of them, (rows, C, N) of each flight.
+    """
+    vehicle = np.logical_not(of_logs(num_rotors))
+    return np.sqrt(np.concatenate([(part[:, :, vehicle] ** 2).sum(axis=2) for part in tolerance]).mean(axis=0))
 
 
 def change_along(columns: NDArray[np.floating], step: Array) -> Array:

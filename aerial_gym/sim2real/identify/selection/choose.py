@@ -81,6 +81,9 @@ class Chosen:
 
     weights: Weighting
 
+    tolerated: Array
+    """Residual (rms) that the tolerances of the declared vehicle cause in each channel, (C,)."""
+
     in_part: tuple[RivalInPart, ...] = ()
     """What single parameters of the named effects may as well be."""
 
@@ -163,7 +166,7 @@ class _Chooser:
 
     def __init__(self, climber: Climber, material: float) -> None:
         self.predictor, self.declared, self.material = climber.predictor, climber.declared, material
-        self.names = climber.names
+        self.names, self.tolerated = climber.names, climber.tolerated
 
     def chosen(self, view: View) -> Chosen:
         """Return the result about the last model."""
@@ -200,6 +203,7 @@ class _Chooser:
             immaterial=immaterial,
             refused={name: reason for name, reason in refused.items() if name not in away},
             weights=view.fitter.weights,
+            tolerated=self.tolerated,
             in_part=rivals_in_part(view.fitter, present, named.effects, self.names),
         )
 

@@ -31,7 +31,7 @@ from aerial_gym.sim2real.identify.evidence.guard import Guard, parts_of_a_flight
 from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.evidence.linear import candidates_of, normal_of
 from aerial_gym.sim2real.identify.evidence.search import Sets, search
-from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, tolerance_jacobian
+from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, single, tolerance_jacobian, tolerated
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.least_squares.weighting import weighting
@@ -56,7 +56,6 @@ MOST_ROUNDS = 8
 MOST_WEIGHINGS = 3
 SETTLED = 0.3
 """The weights of the channels are taken anew until none changes by more than this on the scale of the logarithm."""
-
 
 Way = Callable[["View"], None]
 """Fits sets that may be better than the present one."""
@@ -166,7 +165,9 @@ class Climber:
     def __init__(self, predictor: Predictor, declared: ModelParams, names: Sequence[str], progress: Progress) -> None:
         """Take training flights, the declared model, and the effects that may be in a set."""
         self.predictor, self.declared, self.names, self.progress = predictor, declared, tuple(names), progress
-        self.missed, most = predictor.residuals(declared), most_of_flights(predictor, declared)
+        tolerance = tolerance_jacobian(predictor, declared)
+        self.tolerated, self._tolerance = tolerated(tolerance, predictor.robot.num_rotors), single(tolerance)
+        self.missed, most = predictor.residuals(declared), most_of_flights(predictor, self.tolerated)
         self.nuisances = Nuisances(predictor.flights, predictor.times, predictor.channels, self.missed, most)
         self.skipped = tuple(name for name in EFFECTS if name not in self.names)
 
@@ -196,7 +197,8 @@ class Climber:
     def start(self) -> View:
         """Return all candidates about the declared model, under the weights that it leaves."""
         tangents = tangents_about(self.predictor, self.declared, self.declared, skipped=self.skipped)
-        tolerance = tolerance_jacobian(self.predictor, self.declared, np.float32)
+        tolerance = self._tolerance
+        del self._tolerance  # it is asked for once, and takes memory
         self._weighed = self.declared, self.weigh(self.declared, tangents, tolerance)
         return self.start_from(self.declared, (), (), self._weighed[1], tangents, tolerance)
 
@@ -349,9 +351,7 @@ class Climber:
             tolerance=fitter.tolerance,
             parts=parts_of_a_flight(len(self.predictor.times)),
         )
-        normal = normal_of(library)
-        here = place_of(library, present)
-        sets = search(candidates_of(library), normal, starts=[here])
+        sets = search(candidates_of(library), normal_of(library), starts=[place_of(library, present)])
         fits[present.label] = present
         return View(
             present=present,

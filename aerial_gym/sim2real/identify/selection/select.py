@@ -12,7 +12,7 @@ from aerial_gym.sim2real.identify.candidates.nuisance import offsets_of
 from aerial_gym.sim2real.identify.candidates.testable import lacks
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted
 from aerial_gym.sim2real.identify.least_squares.covariance import shown, uncertainty
-from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian, tolerated
+from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, Frozen, fit_effects, linearise
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets
@@ -194,7 +194,7 @@ class _Scorer:
             weights=self.weights,
             criteria=criteria,
             channels=predictor.channels,
-            tolerated=tolerated(predictor, declared),
+            tolerated=chosen.tolerated,
         )
         self.nothing = self._scored(nothing)
         """The declared model."""

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from aerial_gym.sim2real.identify.candidates.nuisance import _offsets, most_of_flights, offsets_of
+from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian, tolerated
 from aerial_gym.sim2real.logs.flights import complete_flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import uniform_log
@@ -58,7 +59,8 @@ def test_a_force_that_no_sensor_has_felt_has_none(tmp_path) -> None:
         flown = complete_flight(uniform_log(read_flight_log(write(table, tmp_path / f"{name}.csv"))))
         channels = find_channels([flown])
         predictor = Predictor(ROBOT, [flown], bandwidth=10.0, channels=channels, tolerances=Tolerances())
-        found = most_of_flights(predictor, declared_params(ROBOT))
+        tolerance = tolerance_jacobian(predictor, declared_params(ROBOT))
+        found = most_of_flights(predictor, tolerated(tolerance, ROBOT.num_rotors))
         sizes[name] = dict(zip((channel.name for channel in channels), found, strict=True))
     assert 0.1 < sizes["felt"]["specific_force.x"] < 0.2
     assert sizes["derived"]["specific_force.x"] == 0.0

@@ -51,7 +51,8 @@ def test_what_is_tolerated_is_what_the_vehicle_may_be_off_by_and_not_its_log() -
         d = np.zeros(NUM_TOLERANCES) if params.deviation is None else params.deviation
         return [np.full((5, 1), float(sizes @ d))]
 
-    found = tolerated(predictor(predict=predict), ModelParams(effects={}))  # type: ignore[arg-type]
+    tolerance = tolerance_jacobian(predictor(predict=predict), ModelParams(effects={}))  # type: ignore[arg-type]
+    found = tolerated(tolerance, 4)
     assert found == pytest.approx(np.sqrt(np.count_nonzero(np.logical_not(of_logs(4)))))
 
 

@@ -243,7 +243,7 @@ def test_why_what_was_probable_has_no_name(monkeypatch: pytest.MonkeyPatch) -> N
     more = ("payload_mass", "weak_motor", "torque_ratio", "com_offset", "motor_tilt")
     best, named = fitted("rotor_drag", *more), fitted("rotor_drag")
     chooser, found = object.__new__(_Chooser), {"torque_ratio": 0.7, "com_offset": 5.0}
-    chooser.names = best.effects
+    chooser.names, chooser.tolerated = best.effects, np.zeros(1)
     for name, result in (
         ("varying", {}),
         ("bare", best),
