@@ -15,12 +15,7 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.checks.conventions import (
-    body_rate_of,
-    check_log,
-    check_quaternion_norm,
-    check_time,
-)
+from aerial_gym.sim2real.logs.checks.conventions import body_rate_of, check_log, check_quaternion_norm, check_time
 from aerial_gym.sim2real.logs.checks.copies import SeenLogs
 from aerial_gym.sim2real.logs.checks.rotor_law import check_rotor_law
 from aerial_gym.sim2real.logs.checks.rotor_order import check_order

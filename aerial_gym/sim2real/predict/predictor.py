@@ -19,18 +19,8 @@ from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
-from aerial_gym.physics import (
-    EFFECTS,
-    build_model,
-    vehicle_from_config,
-)
-from aerial_gym.physics.effects import (
-    LoadEffect,
-    RotorEffect,
-    VehicleEffect,
-    WindEffect,
-    WrenchEffect,
-)
+from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
+from aerial_gym.physics.effects import LoadEffect, RotorEffect, VehicleEffect, WindEffect, WrenchEffect
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams, effects_at, key_of
@@ -39,11 +29,7 @@ from aerial_gym.sim2real.predict.rows.batches import together
 from aerial_gym.sim2real.predict.rows.dataset import Dataset, thinned
 from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate, estimate_rotors
 from aerial_gym.sim2real.predict.rows.together import Columns, Together
-from aerial_gym.sim2real.predict.tolerances import (
-    Tolerances,
-    deviated,
-    sensed,
-)
+from aerial_gym.sim2real.predict.tolerances import Tolerances, deviated, sensed
 
 Array = NDArray[np.float64]
 ADDED = (RotorEffect, WrenchEffect, WindEffect)

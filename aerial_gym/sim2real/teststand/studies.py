@@ -282,12 +282,7 @@ def study_hover(
     """Return the thrust coefficient from hover in flight logs."""
     logs = [read_flight_log(path, mapping=layout) for path in paths]
     declared = None if robot is None else robot.the_rotor("identify hover").thrust_map
-    fit = fit_hover(
-        logs,
-        mass=mass,
-        mass_std=mass_std,
-        declared=declared,
-    )
+    fit = fit_hover(logs, mass=mass, mass_std=mass_std, declared=declared)
     rows = [("c_t [N s²/rad²]", interval(fit.thrust_coefficient))]
     if fit.scale is not None:
         rows.append(("factor on the declared thrust map", interval(fit.scale)))

@@ -23,12 +23,7 @@ from aerial_gym.sim2real.identify.least_squares.derivatives import (
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, WEAK_PRIOR, Frozen
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
 from aerial_gym.sim2real.identify.least_squares.parameters import bounds_of, is_number, scales
-from aerial_gym.sim2real.identify.least_squares.weighted import (
-    Part,
-    moments_by_channel,
-    weighted_moments,
-    width_of,
-)
+from aerial_gym.sim2real.identify.least_squares.weighted import Part, moments_by_channel, weighted_moments, width_of
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -178,16 +173,7 @@ def build_library(
         free = [k for k in range(scale.size) if is_number(name, k) and not (named and (name, k) in frozen)]
         low, high = (((bound - neutral) / scale)[free] for bound in bounds_of(predictor.robot, (name,)))
         places = np.array(free, dtype=int) + width
-        candidates.append(
-            Candidate(
-                name=name,
-                named=named,
-                columns=places,
-                low=low,
-                high=high,
-                start=tangent.start,
-            )
-        )
+        candidates.append(Candidate(name=name, named=named, columns=places, low=low, high=high, start=tangent.start))
         derivatives.append(columns)
         width += scale.size
         own.setdefault(name, []).append(columns)

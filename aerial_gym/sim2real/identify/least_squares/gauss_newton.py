@@ -13,11 +13,7 @@ from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.identify.least_squares.derivatives import (
-    Derivatives,
-    effect_jacobian,
-    exact_along,
-)
+from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, effect_jacobian, exact_along
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_length, block_moments, of_flights
 from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets
 from aerial_gym.sim2real.identify.least_squares.parameters import bounds_of, is_number, params_of, scales, with_params

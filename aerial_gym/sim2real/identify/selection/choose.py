@@ -10,20 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.identify.candidates.library import (
-    neutral_of,
-    seen_candidates,
-)
-from aerial_gym.sim2real.identify.candidates.nuisance import (
-    OF_FLIGHTS,
-    Nuisance,
-    functions_of,
-)
-from aerial_gym.sim2real.identify.evidence.fitting import (
-    Fitted,
-    Fitter,
-    label_of,
-)
+from aerial_gym.sim2real.identify.candidates.library import neutral_of, seen_candidates
+from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, Nuisance, functions_of
+from aerial_gym.sim2real.identify.evidence.fitting import Fitted, Fitter, label_of
 from aerial_gym.sim2real.identify.evidence.laplace import Posterior, posterior
 from aerial_gym.sim2real.identify.evidence.linear import linear_about
 from aerial_gym.sim2real.identify.evidence.probabilities import inclusion_in, probabilities_of

@@ -11,22 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.identify.candidates.library import (
-    Library,
-    Tangent,
-    build_library,
-    has_starts,
-    tangents_about,
-)
+from aerial_gym.sim2real.identify.candidates.library import Library, Tangent, build_library, has_starts, tangents_about
 from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance, Nuisances, beyond_structures, most_of_flights
-from aerial_gym.sim2real.identify.evidence.fitting import (
-    ENOUGH,
-    Compared,
-    Fitted,
-    Fitter,
-    Label,
-    label_in,
-)
+from aerial_gym.sim2real.identify.evidence.fitting import ENOUGH, Compared, Fitted, Fitter, Label, label_in
 from aerial_gym.sim2real.identify.evidence.guard import Guard, parts_of_a_flight
 from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.evidence.linear import candidates_of, normal_of

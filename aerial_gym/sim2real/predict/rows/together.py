@@ -12,20 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.math.quaternion import (
-    quat_conjugate,
-    quat_exp,
-    quat_multiply,
-    quat_rotate,
-    quat_rotate_inverse,
-)
-from aerial_gym.physics import (
-    BodyState,
-    Vehicle,
-    accelerations,
-    build_model,
-    condition_in,
-)
+from aerial_gym.math.quaternion import quat_conjugate, quat_exp, quat_multiply, quat_rotate, quat_rotate_inverse
+from aerial_gym.physics import BodyState, Vehicle, accelerations, build_model, condition_in
 from aerial_gym.physics.answers import Answers
 from aerial_gym.physics.effects import (
     Condition,
@@ -60,14 +48,7 @@ from aerial_gym.sim2real.predict.rows.batches import expand_model, with_known_wi
 from aerial_gym.sim2real.predict.rows.dataset import Dataset
 from aerial_gym.sim2real.predict.rows.imu_reading import ImuReading, imu_of
 from aerial_gym.sim2real.predict.rows.in_band import InBand
-from aerial_gym.sim2real.predict.tolerances import (
-    Sensed,
-    Tolerances,
-    command_shift,
-    deviate,
-    joint_start,
-    sensed,
-)
+from aerial_gym.sim2real.predict.tolerances import Sensed, Tolerances, command_shift, deviate, joint_start, sensed
 
 Array = NDArray[np.float64]
 Columns = list[Array]
