@@ -117,6 +117,7 @@ def tangents_about(
         columns = effect_jacobian(predictor, params, (name,), base if named else predictor.predict(params))
         if all(np.isfinite(part).all() for part in columns):  # else a pendulum goes over the top of the present model
             found.append(Tangent(name=name, named=named, start=params.effects[name], columns=single(columns)))
+    give_back_memory()
     return found
 
 

@@ -144,11 +144,11 @@ class Fitter:
     def forget(self) -> None:
         """Let go of what takes memory; it is worked out again when it is needed."""
         self.forget_beside()
+        self.tolerance = None
         self._derivatives.clear()
 
     def forget_beside(self) -> None:
-        """Let go of tolerances and structures, and keep the derivatives by effects."""
-        self._tolerance = None
+        """Let go of the sums of what is fitted beside effects."""
         self._beside.clear()
 
     @property

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.least_squares.parameters import bounds_of, is_number, params_of, scales, with_params
+from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import of_logs
@@ -77,6 +78,7 @@ def tolerance_jacobian(
         moved = predictor.predict(replace(params, deviation=deviation))
         for column, m, b in zip(found, moved, base, strict=True):
             column[:, :, k] = (m - b) / STEP
+    give_back_memory()
     return found
 
 

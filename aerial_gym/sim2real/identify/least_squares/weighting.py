@@ -10,6 +10,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, best_s
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, weights_from
 from aerial_gym.sim2real.identify.least_squares.parameters import params_of, scales, with_params
 from aerial_gym.sim2real.identify.least_squares.weighted import weighted_moments
+from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
@@ -39,6 +40,7 @@ def weighting(
         residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
         flights = list(zip(own, *linear, strict=True))
         moments = weighted_moments(predictor.times, residuals, flights, found.weight)
+        give_back_memory()
         fit = fit_of_moments(predictor.robot, effects, params, moments)
         step, *steps = np.split(best_step(fit, UNIT, fit.free_all), fit.num_effect_params + ends)
         left = residuals

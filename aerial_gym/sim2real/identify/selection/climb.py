@@ -137,6 +137,7 @@ class View:
         self.library.tangents.clear()
         forget_but(self.own, self.present.label)
         self.fitter.forget_beside()
+        self.fitter.tolerance = None
         give_back_memory()
 
 
@@ -193,6 +194,7 @@ class Climber:
         """Return the weights that a model leaves; those of the last one are known."""
         params = view.present.params
         if params is not self._weighed[0]:
+            view.fitter.forget_beside()
             give_back_memory()
             self._weighed = params, self.weigh(params, view.library.tangents, view.fitter.tolerance)
         return self._weighed[1]
@@ -255,9 +257,10 @@ class Climber:
     def leader(self, view: View) -> Fitted:
         """Return the best fitted set, each that comes first fitted once more with the tolerances linear about itself."""
         while (best := view.best).label not in view.own:
+            forget_but(view.own, view.present.label)
             fitter = self.fitter_about(best.within, view.fitter.weights)
             view.settle(fitter.again(best, view.fitter), fitter)
-            forget_but(view.own, view.present.label, best.label)
+        forget_but(view.own, view.present.label, best.label)
         return best
 
     def fit_probable(self, view: View) -> None:
