@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from concurrent.futures import Future
 from functools import cache
 from typing import Any
+from weakref import WeakKeyDictionary
 
 _CORES = len(os.sched_getaffinity(0))
 _WANTED = int(os.environ.get("OMP_NUM_THREADS", "2"))
@@ -47,20 +48,32 @@ level: int | None = 0
 level_of_rays: int | None = None
 """The same of rays, which are many in most tests that cast them."""
 
+_own_flags: WeakKeyDictionary[wp.Module, str | None] = WeakKeyDictionary()
+"""The flags of each module as users have them."""
+
+
+def has_adjoint(module: wp.Module) -> bool:
+    """Return whether a kernel is differentiated: loops that are not unrolled would keep the last of their values alone."""
+    whole = module.options["enable_backward"]
+    return any(kernel.options.get("enable_backward", whole) for kernel in module.kernels.values())
+
 
 def set_level(module: wp.Module) -> None:
     """Optimise a module as far as is wanted now; never what is so long that this takes minutes.
 
     Rays are optimised without Warp's eager inlining, which makes them a tenth faster and takes three times as long, for each
-    combination of images that tests ask for.
+    combination of images that tests ask for. What is not optimised keeps its loops and is for any CPU: compiled in two thirds
+    of the time.
     """
-    if "cast_by_tile" in module.name:
-        if level_of_rays is None:
-            module.options["cpu_compiler_flags"] = f"-march=native {launches.NO_BFLOAT16}"
-        module.options["optimization_level"] = level_of_rays
-        return
-    long = "-fno-slp-vectorize" in (module.options["cpu_compiler_flags"] or "")
-    module.options["optimization_level"] = 0 if long else level
+    flags = _own_flags.setdefault(module, module.options["cpu_compiler_flags"])
+    rays = "cast_by_tile" in module.name
+    wanted = level_of_rays if rays else 0 if "-fno-slp-vectorize" in (flags or "") else level
+    if wanted == 0:
+        flags = launches.NO_BFLOAT16
+    elif rays:
+        flags = f"-march=native {launches.NO_BFLOAT16}"
+    unrolled = wp.config.max_unroll if wanted != 0 or has_adjoint(module) else 1
+    module.options |= {"optimization_level": wanted, "cpu_compiler_flags": flags, "max_unroll": unrolled}
 
 
 def set_levels() -> None:
