@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -42,10 +43,24 @@ stand."""
 ROOM_RANK = {name: rank for rank, group in enumerate(ROOMS) for name in group}
 
 
+@cache
+def nodes_of(path: Path) -> list[ast.Import | ast.ImportFrom | ast.Call]:
+    """Return the imports of a file and its launches of kernels; each file is read once for all tests."""
+
+    def asked_for(node: ast.AST) -> bool:
+        launches = isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in LAUNCHES
+        return launches or isinstance(node, ast.Import | ast.ImportFrom)
+
+    return [node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if asked_for(node)]  # type: ignore[misc]
+
+
+LAUNCHES = ("launch", "launch_tiled")
+
+
 def imports_of(path: Path, package: str = "aerial_gym") -> set[str]:
     """Return the first-level packages and modules of a package that a file imports."""
     found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes_of(path):
         names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
         if isinstance(node, ast.ImportFrom) and node.module:
             names = [node.module]
@@ -108,7 +123,7 @@ def test_undeclared_plant_shares_no_code_with_the_package() -> None:
 
 def _all_imports(path: Path) -> set[str]:
     found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -146,6 +161,6 @@ def test_every_name_of_a_package_is_there() -> None:
 @pytest.mark.parametrize("path", sorted(ROOT.rglob("*.py")), ids=lambda p: str(p.relative_to(ROOT)))
 def test_every_launch_says_where(path: Path) -> None:
     """Without a device Warp takes the first GPU there is, and reads what lies elsewhere."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Call) and ast.unparse(node.func) in ("wp.launch", "wp.launch_tiled"):
+    for node in nodes_of(path):
+        if isinstance(node, ast.Call) and ast.unparse(node.func) in {f"wp.{name}" for name in LAUNCHES}:
             assert "device" in {keyword.arg for keyword in node.keywords}, f"{path}:{node.lineno}"
