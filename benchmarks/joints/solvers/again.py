@@ -17,7 +17,7 @@ from aerial_gym.interop import RecordedLaunch
 from aerial_gym.physics import build_model, vehicle_from_config
 from aerial_gym.physics.articulated.articulation import Articulation, articulation_of
 from aerial_gym.physics.articulated.fused.inertia import plus
-from aerial_gym.physics.articulated.fused.kernel import _make_base
+from aerial_gym.physics.articulated.fused.kernel import make_base
 from aerial_gym.physics.articulated.fused.recursion import joint_types, make_recursion
 from aerial_gym.physics.fused.functions import solve_motion
 from aerial_gym.physics.fused.packing import arrange, numbers_of, shared_structs, types_of
@@ -124,7 +124,7 @@ def make_solve_kernel(
     rotor_vector, vector, vehicle_type, held_type = types.vector, joints.vector, types.vehicle, joints.held
     drive_type, floating = vector_of(max(articulation.num_driven, 1)), articulation.tree.floating
     way_in, way_back = make(articulation, types, joints, {}, {})
-    base = _make_base(articulation, vehicle_type)
+    base = make_base(articulation, vehicle_type)
 
     @wp.func
     def find(

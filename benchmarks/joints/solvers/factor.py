@@ -20,7 +20,7 @@ from aerial_gym.errors import CapabilityError
 from aerial_gym.physics.articulated.articulation import Articulation
 from aerial_gym.physics.articulated.fused.efforts import make_effort
 from aerial_gym.physics.articulated.fused.inertia import Inertia
-from aerial_gym.physics.articulated.fused.recursion import JointTypes, _make_rotors
+from aerial_gym.physics.articulated.fused.recursion import JointTypes, make_rotors
 from aerial_gym.physics.fused.types import RotorTypes, vector_of
 from benchmarks.joints.solvers.composite import Composite, shifted, together, turned_by
 from benchmarks.joints.solvers.rows import above, depths_of, factor_types, make_columns, make_elimination
@@ -60,7 +60,7 @@ def make_factor(
         into[k] = _make_link(articulation, k, types, joints, factor, masses[k], carried)
         out[k] = _make_back(k, depths_of(articulation)[k], after)
     way_in, way_back = carried_by(0)
-    eliminate, base_rotors = make_elimination(articulation, factor), _make_rotors(articulation, 0, types, joints, None)
+    eliminate, base_rotors = make_elimination(articulation, factor), make_rotors(articulation, 0, types, joints, None)
     total = sum(masses[child] for child in articulation.tree.children(0))
 
     @wp.func
@@ -193,7 +193,7 @@ def _make_link(
     com = wp.vec3(*(articulation.link_com[k] - articulation.origins[k + 1]).tolist())  # from the origin of the link
     mass, inertia = float(articulation.link_mass[k]), wp.mat33(*articulation.link_inertia[k].flatten().tolist())
     has_mass, has_inertia = mass > 0.0, bool(articulation.link_inertia[k].any())
-    effort, rotors = make_effort(articulation, k, held_type), _make_rotors(articulation, k + 1, types, joints, None)
+    effort, rotors = make_effort(articulation, k, held_type), make_rotors(articulation, k + 1, types, joints, None)
     columns, depth = make_columns(articulation, k, factor), len(above(articulation, k))
     has_rotors, carries = k + 1 in articulation.rotor_links, bool(articulation.tree.children(k + 1))
 

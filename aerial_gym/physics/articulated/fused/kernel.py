@@ -53,7 +53,7 @@ def _make_split(num_actions: int, num_driven: int) -> tuple[wp.Function, wp.Func
     return of_law, of_drives
 
 
-def _make_base(articulation: Articulation, vehicle_type: Any) -> wp.Function:
+def make_base(articulation: Articulation, vehicle_type: Any) -> wp.Function:
     """Return a function to the inertia of the base: (vehicle, angular velocity, velocity) -> ``Inertia``.
 
     It is what the links leave of the whole vehicle in its reference pose, as in ``Articulation.links``; about the base's origin
@@ -116,7 +116,7 @@ def make_jointed_kernel(
     air, hubs = make_on_links(model, joints), make_hubs(model, joints)
     way_in, way_back = make_recursion(articulation, types, joints, air, hubs)
     base_in_air, wind = air.get(0), make_wind(model) if in_air else None
-    base, floating = _make_base(articulation, vehicle_type), articulation.tree.floating
+    base, floating = make_base(articulation, vehicle_type), articulation.tree.floating
     beyond, driven = make_beyond(articulation), bool(articulation.driven)
     slips, rubs, ahead = make_slips(articulation.num_joints), articulation.rubs, articulation.looks_ahead
     (pull, creep_on), num_creep = make_creep(articulation), articulation.num_creep

@@ -82,7 +82,7 @@ def make_recursion(
         out[k] = _make_back(k, revolute, joints, _children(articulation, k + 1, out, back, False))
     way_in = _children(articulation, 0, into, inward, True)
     way_back = _children(articulation, 0, out, back, False)
-    base_rotors = _make_rotors(articulation, 0, types, joints, hubs.get(0))
+    base_rotors = make_rotors(articulation, 0, types, joints, hubs.get(0))
 
     @wp.func
     def all_in(
@@ -209,7 +209,7 @@ def _make_link(
     has_mass, has_inertia = mass > 0.0, bool(articulation.link_inertia[k].any())
     carries = bool(articulation.tree.children(k + 1))
     effort = make_effort(articulation, k, held_type)
-    rotors = _make_rotors(articulation, k + 1, types, joints, hubs.get(k + 1))
+    rotors = make_rotors(articulation, k + 1, types, joints, hubs.get(k + 1))
 
     def around(carried: wp.Function) -> wp.Function:
         @wp.func
@@ -298,7 +298,7 @@ def _make_link(
     return around
 
 
-def _make_rotors(
+def make_rotors(
     articulation: Articulation, link: int, types: RotorTypes, joints: JointTypes, hubs: wp.Function | None
 ) -> wp.Function:
     """Return what the rotors of a link do to it.
