@@ -81,6 +81,17 @@ def test_what_is_little_beyond_its_tolerance_is_named(effect: str, params: dict[
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("effect", ["thrust_coefficient", "payload_mass"])
+def test_what_hover_does_not_tell_is_no_other_name(effect: str, tmp_path: Path) -> None:
+    """Hover tells neither from the other, and here speaks for the wrong one; the test flights move, and bring doubt."""
+    flights = {"num_test": 3, "duration_s": 16.0, "rate_hz": 400, "nuisance": True, "features": ("hover",)}
+    verdict, _ = run_case(tmp_path, {effect: "moderate"}, 3831, **flights)
+    assert verdict["verdict"] == "ambiguous"
+    assert effect in verdict["candidates"]
+    assert verdict["manoeuvre"] is not None
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rate_hz", "duration_s"),
     [(50, 6.0), (400, 3.0), (25, 16.0)],

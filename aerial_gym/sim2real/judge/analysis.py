@@ -15,6 +15,7 @@ from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.identify.stages import Declared, Selected
 from aerial_gym.sim2real.judge.ablation import ablations
 from aerial_gym.sim2real.judge.breakdown import by_flight, where_it_acts
+from aerial_gym.sim2real.judge.doubt import with_doubt
 from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate
 from aerial_gym.sim2real.judge.experiments.design import (
     Advice,
@@ -73,6 +74,9 @@ def judge(selected: Selected, *, seed: int, learn_residual: bool, progress: Prog
     evaluations = evaluate(declared.robot, tested, pair, floor=still, seed=seed)
     before, named = evaluations[0], evaluations[-1]
     unexplained = find_unexplained(declared.train, tested, selection, (declared.params, selected.params), named, still)
+    if selection.accepted and (unexplained.left_open or unexplained.open_to):
+        selected = replace(selected, selection=with_doubt(selection, tested))
+        selection = selected.selection
     progress("what each effect is worth", 0.93)
     effects = judged_effects(selected, before, named, unexplained.floor, seed=seed)
     learned = None

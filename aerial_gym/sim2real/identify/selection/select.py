@@ -10,7 +10,7 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.library import neutral_of
 from aerial_gym.sim2real.identify.candidates.nuisance import offsets_of
 from aerial_gym.sim2real.identify.candidates.testable import lacks
-from aerial_gym.sim2real.identify.evidence.fitting import Fitted
+from aerial_gym.sim2real.identify.evidence.fitting import Fitted, Label
 from aerial_gym.sim2real.identify.least_squares.covariance import shown, uncertainty
 from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, Frozen, fit_effects, linearise
@@ -69,6 +69,9 @@ class Selection:
     looked_for: tuple[str, ...] = field(default_factory=offered_effects)
     """Effects that were asked for."""
 
+    doubt: dict[Label, float] = field(default_factory=dict)
+    """By how much test flights make some sets more probable than the named one, in log odds, at least 0."""
+
     @property
     def accepted(self) -> tuple[str, ...]:
         """Return the named effects."""
@@ -95,12 +98,12 @@ class Selection:
         for fitted in self.chosen.holding:
             if name in fitted.effects:
                 continue
-            odds = (fitted.log_posterior - best.log_posterior) / best.overdispersion
+            odds = (fitted.log_posterior - best.log_posterior) / best.overdispersion + self.doubt.get(fitted.label, 0.0)
             for other in in_place_of(name, best.effects, fitted.effects):
-                if other not in found:
+                if other not in found or odds > found[other].log_odds:
                     wider = name in EFFECTS.get(other).contains
                     found[other] = Rival(effect=other, fitted=fitted, log_odds=odds, wider=wider)
-        return list(found.values())
+        return sorted(found.values(), key=lambda rival: -rival.log_odds)
 
     def ties_of(self, name: str) -> list[Rival]:
         """Return those that cannot be told from it; what contains it is no other cause."""
