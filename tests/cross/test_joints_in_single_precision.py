@@ -130,8 +130,9 @@ def bound_of(start: Start, first: int) -> Bound:
     """
     seen: list[Bound] = []
 
-    def stepper(tree, links, laws, before, dt, *, gravity, drive, friction, wrench, damping):
+    def stepper(tree, links, laws, before, dt, *, gravity, drive, friction, wrench, damping, fluid):
         assert damping is None
+        assert fluid is None
         used: list[tuple[Effort, Equations]] = []
 
         def step(acts: Effort, swings: TreeState) -> TreeState:
