@@ -19,15 +19,12 @@ from numpy.typing import NDArray
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
-from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.least_squares.parameters import is_number
 from aerial_gym.sim2real.identify.selection.select import Selection
+from aerial_gym.sim2real.judge.predictive import PASSES
 from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
-
-PASSES = 3
-"""Of weighing the test flights by what is left of them."""
 
 
 def with_doubt(selection: Selection, test: Predictor) -> Selection:
@@ -81,12 +78,8 @@ def log_densities(test: Predictor, fits: Sequence[Fitted], selection: Selection)
     rows, weight = sum(time.size for time in test.times), weights.weight
     for _ in range(PASSES):
         least = np.min([one.squares_at(one.best(weight)) for one in sums], axis=0) / rows
-        weight = _weight(weights, least)
+        weight = weights.where_left(least)
     return np.array([one.log_density(weight) for one in sums])
-
-
-def _weight(weights: Weighting, mean_square: Array) -> Array:
-    return weights.effective / np.maximum(weights.variance, mean_square)
 
 
 def left_of(test: Predictor, fitted: Fitted, selection: Selection) -> Left:

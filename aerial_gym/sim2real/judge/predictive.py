@@ -237,7 +237,7 @@ def _of_all_flights(
         whole[columns] = step
         squares = tested.moments.squares_after(np.tile(whole, (blocks, 1))).sum(axis=0) / rows
         squares = np.maximum(squares, 0.0)
-        weight = weights.effective / np.maximum(weights.variance, squares)
+        weight = weights.where_left(squares)
     return step, squares
 
 

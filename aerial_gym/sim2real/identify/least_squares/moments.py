@@ -159,6 +159,14 @@ class Weighting:
         """Return the weight of one row, (C,)."""
         return self.effective / self.variance
 
+    def where_left(self, mean_square: Array) -> Array:
+        """Return the weight of one row of other flights, of which more may be left, (C,): no more than that allows.
+
+        Args:
+            mean_square: Of what is left of each channel, (C,).
+        """
+        return self.effective / np.maximum(self.variance, mean_square)
+
 
 def weights_from(residuals: Sequence[Array]) -> Weighting:
     """Return the weights that fit residuals, each (rows, C)."""
