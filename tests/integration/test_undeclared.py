@@ -89,6 +89,7 @@ def test_what_hover_does_not_tell_is_no_other_name(effect: str, tmp_path: Path) 
     assert verdict["verdict"] == "ambiguous"
     assert effect in verdict["candidates"]
     assert verdict["manoeuvre"] is not None
+    assert any("by the training flights alone it is" in note for note in verdict["notes"])
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.identify.stages import Declared, Selected
 from aerial_gym.sim2real.judge.ablation import ablations
 from aerial_gym.sim2real.judge.breakdown import by_flight, where_it_acts
-from aerial_gym.sim2real.judge.doubt import with_doubt
+from aerial_gym.sim2real.judge.doubt import doubt_notes, with_doubt
 from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate
 from aerial_gym.sim2real.judge.experiments.design import (
     Advice,
@@ -196,6 +196,7 @@ def notes(
     declared = selected.declared
     return (
         *rigid_notes(declared.stated),
+        *doubt_notes(selected.selection),
         *open_notes(unexplained),
         *unexplained.wind.notes,
         *immaterial(effects),

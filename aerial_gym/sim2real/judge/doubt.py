@@ -37,6 +37,17 @@ def with_doubt(selection: Selection, test: Predictor) -> Selection:
     return replace(selection, doubt=dict(zip(rivals, np.maximum(gain, 0.0).tolist(), strict=True)))
 
 
+def doubt_notes(selection: Selection) -> list[str]:
+    """Return a note on each tie that is one by the test flights alone."""
+    return [
+        f"by the training flights alone it is {name} and not {rival.effect} (log odds {rival.log_odds - rival.doubt:.1f}), as "
+        f"its confidence says; the test flights, which no fit has seen, speak for {rival.effect}"
+        for name in selection.accepted
+        for rival in selection.ties_of(name)
+        if rival.told_apart_by_training
+    ]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Left:
     """What a set leaves of the test flights, in sums over their rows, and how well training knows its parameters."""

@@ -35,15 +35,23 @@ class Rival:
     """The most probable set with it and without the named one."""
 
     log_odds: float
-    """Of that set over the most probable one, as far as flights agree."""
+    """Of that set over the most probable one, as far as flights agree, with what test flights say for it."""
 
     wider: bool
     """Whether it contains the named one as a case."""
+
+    doubt: float = 0.0
+    """What of the log odds test flights say for it."""
 
     @property
     def told_apart(self) -> bool:
         """Whether the named effect is clearly more probable."""
         return self.log_odds < -LEAST_SCORE
+
+    @property
+    def told_apart_by_training(self) -> bool:
+        """Whether it would be without the test flights."""
+        return self.log_odds - self.doubt < -LEAST_SCORE
 
 
 def offered_effects() -> tuple[str, ...]:
@@ -98,11 +106,12 @@ class Selection:
         for fitted in self.chosen.holding:
             if name in fitted.effects:
                 continue
-            odds = (fitted.log_posterior - best.log_posterior) / best.overdispersion + self.doubt.get(fitted.label, 0.0)
+            doubt = self.doubt.get(fitted.label, 0.0)
+            odds = (fitted.log_posterior - best.log_posterior) / best.overdispersion + doubt
             for other in in_place_of(name, best.effects, fitted.effects):
                 if other not in found or odds > found[other].log_odds:
                     wider = name in EFFECTS.get(other).contains
-                    found[other] = Rival(effect=other, fitted=fitted, log_odds=odds, wider=wider)
+                    found[other] = Rival(effect=other, fitted=fitted, log_odds=odds, wider=wider, doubt=doubt)
         return sorted(found.values(), key=lambda rival: -rival.log_odds)
 
     def ties_of(self, name: str) -> list[Rival]:
