@@ -40,7 +40,7 @@ def lowpass_gain(frequency: Array, bandwidth: float) -> Array:
     return 1.0 / (1.0 + (frequency / bandwidth) ** (2 * FILTER_ORDER))
 
 
-def lowpass(values: Array, rate: float, bandwidth: float, *, derivative: bool = False) -> Array:
+def lowpass(values: Array, rate: float, bandwidth: float, *, derivative: bool = False, late: float = 0.0) -> Array:
     """Return ``values`` low-passed without phase, or their time derivative in the same band.
 
     The ends are continued by point reflection about the line through the last half period, so that a level or a slope does
@@ -52,13 +52,17 @@ def lowpass(values: Array, rate: float, bandwidth: float, *, derivative: bool = 
         rate: Samples per second [Hz].
         bandwidth: Frequency of half gain [Hz].
         derivative: Whether to multiply by ``2 pi i f``.
+        late: By how much later it comes than it was [s]; no more than ``edge_rows``. Multiplied by ``exp(-2 pi i f late)``,
+            which moves what is in the band exactly: of rows that are thinned to the band no interpolation does.
     """
     columns = np.ascontiguousarray(values.reshape(values.shape[0], -1).T)
-    slow = lowpass_columns(columns, rate, bandwidth, derivative=derivative)
+    slow = lowpass_columns(columns, rate, bandwidth, derivative=derivative, late=late)
     return np.ascontiguousarray(slow.T).reshape(values.shape)
 
 
-def lowpass_columns(columns: Array, rate: float, bandwidth: float, *, derivative: bool = False) -> Array:
+def lowpass_columns(
+    columns: Array, rate: float, bandwidth: float, *, derivative: bool = False, late: float = 0.0
+) -> Array:
     """Return ``lowpass`` of columns (K, T), in the same layout."""
     rows = columns.shape[1]
     pad = min(rows - 1, 3 * edge_rows(rate, bandwidth))
@@ -75,6 +79,8 @@ def lowpass_columns(columns: Array, rate: float, bandwidth: float, *, derivative
     circle[:, whole:] = circle[:, whole - 1 : whole] * (1.0 - blend) + circle[:, :1] * blend
     lines = np.asarray(fft.rfft(circle, axis=1, overwrite_x=True))
     lines *= _gain(size, rate, bandwidth, derivative)
+    if late:
+        lines *= np.exp(-2j * np.pi * late * fft.rfftfreq(size, 1.0 / rate))
     return np.asarray(fft.irfft(lines, n=size, axis=1, overwrite_x=True))[:, pad : pad + rows]
 
 

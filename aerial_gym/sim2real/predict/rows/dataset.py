@@ -20,7 +20,6 @@ from aerial_gym.sim2real.logs.signals import edge_rows, lowpass, lowpass_columns
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.nonzero import not_zero
 from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate
-from aerial_gym.sim2real.predict.rows.spline import Spline
 from aerial_gym.sim2real.predict.scene import heights, other_along
 
 Array = NDArray[np.float64]
@@ -76,7 +75,6 @@ class Dataset:
         self.kept = [self._kept_rows(f, s, every_row) for f, s in zip(flights, self.stride, strict=True)]
         self.measured = [self._measure(index) for index in range(len(flights))]
         self.times = [flight.time[kept] for flight, kept in zip(flights, self.kept, strict=True)]
-        self._spline = Spline(self.times)
         states = [self._state_rows(index) for index in range(len(flights))]
         self.state = {name: torch.cat([state[name] for state in states]) for name in states[0]}
         ends = np.cumsum([0, *(state["attitude"].shape[0] for state in states)])
@@ -112,9 +110,9 @@ class Dataset:
             if turning
             else None
         )
-        self.kinematic_force, self.kinematic_rate, self.kinematic_jerk = (
-            torch.from_numpy(self.in_band(torch.cat([of(i) for i in range(len(flights))]).T.contiguous().numpy())).T
-            for of in (self._implied_force, self._implied_rate, self._implied_jerk)
+        implied = (self._implied_force, self._implied_jerk, self._implied_rate)
+        self._implied = np.concatenate(
+            [np.concatenate([of(i).T for i in range(len(flights))], axis=1) for of in implied]
         )
 
     @staticmethod
@@ -127,17 +125,28 @@ class Dataset:
         stride = self.stride[index]
         return lowpass(rows, self.flights[index].rate / stride, self.bandwidth)[self.kept[index] // stride]
 
-    def later(self, columns: list[Array], seconds: Sequence[float]) -> list[Array]:
-        """Return values in the band at the rows of all flights, each (rows kept,), later by so many seconds in each flight."""
-        return self._spline.later(columns, seconds)
+    def kinematics(self, *, force_late: float = 0.0, rate_late: float = 0.0) -> tuple[Tensor, Tensor, Tensor]:
+        """Return what attitude and velocity imply at the rows kept, (T, 3) each, in the band, later by some seconds.
 
-    def in_band(self, columns: Array) -> Array:
-        """Return values at the rows of all flights (K, E) in the band, (K, rows kept); what is zero stays so."""
+        Specific force [m/s²], by how much it changes with the delay of the velocity alone [m/s³], angular velocity [rad/s].
+        """
+        flights = len(self.flights)
+        forces = self.in_band(self._implied[:6], [force_late] * flights)
+        rates = self.in_band(self._implied[6:], [rate_late] * flights)
+        force, jerk, rate = (torch.from_numpy(rows).T for rows in (forces[:3], forces[3:], rates))
+        return force, jerk, rate
+
+    def in_band(self, columns: Array, late: Sequence[float] | None = None) -> Array:
+        """Return values at the rows of all flights (K, E) in the band, (K, rows kept); what is zero stays so.
+
+        ``late``: by how much later they come in each flight [s]; None: as they are.
+        """
         moving = np.flatnonzero(not_zero(columns, axis=1))
         found = np.zeros((len(columns), self.kept_spans[-1].stop))
         for index, (span, to) in enumerate(zip(self.spans, self.kept_spans, strict=True)):
             stride = self.stride[index]
-            slow = lowpass_columns(columns[moving, span], self.flights[index].rate / stride, self.bandwidth)
+            rate, seconds = self.flights[index].rate / stride, 0.0 if late is None else late[index]
+            slow = lowpass_columns(columns[moving, span], rate, self.bandwidth, late=seconds)
             found[moving, to] = slow[:, self.kept[index] // stride]
         return found
 

@@ -18,7 +18,7 @@ from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.physics.effects.imu_errors import imu_errors
 from aerial_gym.physics.model import Model
 from aerial_gym.sim2real.predict.rows.dataset import Dataset
-from aerial_gym.sim2real.predict.rows.in_band import InBand, columns_of
+from aerial_gym.sim2real.predict.rows.in_band import InBand, Late, columns_of
 from aerial_gym.sim2real.predict.tolerances import Sensed
 
 Columns = list[NDArray[np.float64]]
@@ -63,19 +63,27 @@ class ImuReading:
         clock = 0.0 if self.data.simulated else late[0]
         return [one - clock for one in late]
 
+    def late(self, logged: Sensed) -> Late:
+        """Return by how much force and turning are late in each flight, on that clock.
+
+        Without an accelerometer the force is in the axes of the logged attitude, and as late.
+        """
+        _, acc, gyro, attitude, _ = self.clock(logged)
+        force = tuple(acc if flight.accelerometer else attitude for flight in self.data.flights)
+        return Late(force=force, gyro=(gyro,) * len(force))
+
     def read(self, model: Model, found: Accelerations, logged: Sensed, seeming: Tensor | None) -> dict[str, Columns]:
         """Return three columns (T,) by kind of channel.
 
         Args:
             model: The same in all rows.
-            found: What the vehicle feels.
+            found: What the vehicle feels, as late as it is logged.
             logged: What a deviation within the tolerances does to what is logged.
             seeming: What noise in step with the torque seems to add to it [rad/s²], (T, 3); None for nothing.
         """
         felt, force, torque = self.data.felt_force_kept, found.specific_force, found.ang_acc
-        _, acc, gyro, _, _ = self.clock(logged)
         if logged.imu_place.any():
-            force = force + felt * self._in_band.felt_at(logged.imu_place, gyro).T
+            force = force + felt * self._in_band.felt_at(logged.imu_place, self.late(logged)).T
         if model.effects[ImuEffect]:
             of_force, of_rate = imu_of(model)
             force, torque = torch.where(felt, of_force.of(force), force), times(torque, of_rate.turn)
@@ -86,7 +94,8 @@ class ImuReading:
             force = torch.where(felt, force, times(force, turn))
         *_, attitude, velocity = logged.delays.tolist()
         if velocity != attitude:  # there it is that of the velocity, in those axes
-            force = torch.where(felt, force, force - (velocity - attitude) * self.data.kinematic_jerk)
+            _, jerk, _ = self.data.kinematics()
+            force = torch.where(felt, force, force - (velocity - attitude) * jerk)
         implied = self._read_of_kinematics(model, logged, turn)
         if logged.acc_scale.any():
             # Of the force that is predicted: of what kinematics imply, their noise would look like a scale.
@@ -94,12 +103,9 @@ class ImuReading:
             force = force + more
             pairs = zip(implied["kinematic_force"], columns_of(more), strict=True)
             implied = {**implied, "kinematic_force": [one + other for one, other in pairs]}
-        *_, attitude, _ = self.clock(logged)  # without an accelerometer the force is in the axes of the logged attitude
-        late = [acc if flight.accelerometer else attitude for flight in self.data.flights]
         return {
-            "specific_force": self.data.later(columns_of(force + logged.acc_bias * felt), late),
-            # a constant error has no derivative
-            "angular_acceleration": self.data.later(columns_of(torque), [gyro] * len(late)),
+            "specific_force": columns_of(force + logged.acc_bias * felt),
+            "angular_acceleration": columns_of(torque),  # a constant error has no derivative
             **implied,
         }
 
@@ -111,9 +117,9 @@ class ImuReading:
         key = (numbers, *(effect.name for effect, _ in errs))
         if key not in self._of_kinematics:
             _, acc, gyro, attitude, velocity = logged.delays.tolist()
-            force, rate = self.data.kinematic_force, self.data.kinematic_rate
+            force, jerk, rate = self.data.kinematics(force_late=acc - attitude, rate_late=gyro - attitude)
             if velocity != attitude:
-                force = force + (velocity - attitude) * self.data.kinematic_jerk
+                force = force + (velocity - attitude) * jerk
             if turn is not None:
                 force, rate = times(force, turn.T), times(rate, turn.T)
             if errs:
@@ -121,11 +127,8 @@ class ImuReading:
                 force, rate = of_force.of(force), of_rate.of(rate)
             bias = logged.acc_bias * self.data.felt_force_kept
             self._of_kinematics[key] = {
-                kind: self.data.later(columns_of(rows), [late] * len(self.data.times))
-                for kind, rows, late in (
-                    ("kinematic_force", force + bias, acc - attitude),
-                    ("kinematic_rate", rate + logged.gyro_bias, gyro - attitude),
-                )
+                "kinematic_force": columns_of(force + bias),
+                "kinematic_rate": columns_of(rate + logged.gyro_bias),
             }
             while len(self._of_kinematics) > READINGS:
                 self._of_kinematics.popitem(last=False)

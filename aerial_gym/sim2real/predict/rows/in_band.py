@@ -7,6 +7,7 @@ Letters: E rows, T rows kept, R rotors, K coefficients of a map.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -23,7 +24,17 @@ from aerial_gym.sim2real.predict.rows.dataset import Dataset
 Array = NDArray[np.float64]
 
 KEPT = 2
-"""Results kept of each effect, as many as answers (``physics.answers``)."""
+"""Results kept of each effect for each sensor, as many as answers (``physics.answers``)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Late:
+    """By how much what is compared is late on the clock of the rows, in each flight [s]."""
+
+    force: tuple[float, ...]
+    """The accelerometer, or what stands for one."""
+
+    gyro: tuple[float, ...]
 
 
 class InBand:
@@ -32,86 +43,108 @@ class InBand:
     def __init__(self, data: Dataset) -> None:
         """Take the flights."""
         self._data = data
-        self._known: dict[str, list[tuple[Tensor, Tensor]]] = {}
+        self._known: dict[str, list[tuple[Tensor, tuple[float, ...], Tensor]]] = {}
+        on_time = (0.0,) * len(data.times)
+        self._on_time = Late(force=on_time, gyro=on_time)
         rates = data.state["ang_vel"]
         products = (rates.unsqueeze(2) * rates.unsqueeze(1)).flatten(1)
-        self._motion = self._slow(torch.cat((data.ang_acc, products), dim=1))
+        self._motion_rows = torch.cat((data.ang_acc, products), dim=1)
+        self._motion = self._slow(self._motion_rows, on_time)
         """Angular acceleration and products of angular velocities as measured, (3 + 9, T)."""
 
-        self._late, self._late_motion = 0.0, self._motion
+        self._lead, self._late_motion = on_time, self._motion
 
     def felt(
-        self, model: Model, rotor_speed: Tensor, acting: Acting, *, about: Tensor | None = None, late: float = 0.0
+        self,
+        model: Model,
+        rotor_speed: Tensor,
+        acting: Acting,
+        *,
+        about: Tensor | None = None,
+        late: Late | None = None,
     ) -> Accelerations:
         """Return specific force [m/s²] and angular acceleration [rad/s²] of the body origin in the band, (T, 3) each.
 
-        The lever of the accelerometer turns as measured: an error of the torque model stays out of the forces.
+        Both as late as they are logged. The body turns as measured: an error of the torque model stays out of the forces.
 
         Args:
             model: The same in all rows.
             rotor_speed: True speeds [rad/s], (E, R).
             acting: Forces in every row, linear ones apart or not.
             about: Where the torques of effects at hubs are about [m], body, (3,). None: the centre of mass, as all others.
-            late: By how much the gyro is late [s].
+            late: Sensors; None: on time.
         """
-        vehicle, motion = model.vehicle, self._turning(late)
-        terms = self._of("rotors", rotor_speed, lambda speed: map_terms(vehicle, speed).permute(1, 0, 2))  # (K, R, T)
-        maps = (vehicle.thrust_map, vehicle.reverse_thrust_map), (vehicle.torque_map, vehicle.reverse_torque_map)
-        coefficients = [torch.cat([rows[0] for rows in pair], dim=1).T[: len(terms), :, None] for pair in maps]
-        thrust, drag = ((of_each * terms).sum(0) for of_each in coefficients)
-        for name, more in acting.thrusts:
-            thrust = thrust + self._of(f"thrust of {name}", more)
-        wrench = rotor_matrix(vehicle).T @ torch.cat((thrust, drag))  # (6, T)
-        at_hubs = {effect.name for effect, _ in model.effects[WrenchEffect] if effect.at_hubs}
-        parts = [(name, self._of(name, rows)) for name, rows in acting.wrenches]
-        parts += [(name, params[0] @ self._of(f"regressor of {name}", rows)) for name, rows, params in acting.linear]
-        for name, part in parts:
-            wrench = wrench + part
-            if about is not None and name in at_hubs:
-                wrench[3:] += torch.linalg.cross((about - vehicle.com[0])[:, None], part[:3], dim=0)
+        late = late or self._on_time
+        vehicle, wrench = model.vehicle, self._wrench(model, rotor_speed, acting, about, late.force)
+        if late.gyro != late.force:
+            wrench[3:] = self._wrench(model, rotor_speed, acting, about, late.gyro)[3:]
         _, products = _of_motion()
         spin = products @ vehicle.inertia[0]  # w (J w)^T, J is symmetric
         gyroscopic = torch.stack([spin[:, i, j] - spin[:, j, i] for i, j in ((1, 2), (2, 0), (0, 1))])
         force = wrench[:3] / vehicle.mass[0] - self.felt_at(vehicle.com[0], late)
-        torque = model.inertia_inverse[0] @ (wrench[3:] - gyroscopic @ motion)
+        torque = model.inertia_inverse[0] @ (wrench[3:] - gyroscopic @ self._motion)
         return Accelerations(specific_force=force.T, ang_acc=torque.T)
 
-    def felt_at(self, place: Tensor, late: float = 0.0) -> Tensor:
+    def _wrench(
+        self, model: Model, rotor_speed: Tensor, acting: Acting, about: Tensor | None, late: tuple[float, ...]
+    ) -> Tensor:
+        """Return all forces and torques in the band, (6, T), so many seconds late in each flight."""
+        vehicle = model.vehicle
+
+        def of(name: str, rows: Tensor, law: Callable[[Tensor], Tensor] = lambda rows: rows) -> Tensor:
+            return self._of(name, late, rows, law)
+
+        terms = of("rotors", rotor_speed, lambda speed: map_terms(vehicle, speed).permute(1, 0, 2))  # (K, R, T)
+        maps = (vehicle.thrust_map, vehicle.reverse_thrust_map), (vehicle.torque_map, vehicle.reverse_torque_map)
+        coefficients = [torch.cat([rows[0] for rows in pair], dim=1).T[: len(terms), :, None] for pair in maps]
+        thrust, drag = ((of_each * terms).sum(0) for of_each in coefficients)
+        for name, more in acting.thrusts:
+            thrust = thrust + of(f"thrust of {name}", more)
+        wrench = rotor_matrix(vehicle).T @ torch.cat((thrust, drag))  # (6, T)
+        at_hubs = {effect.name for effect, _ in model.effects[WrenchEffect] if effect.at_hubs}
+        parts = [(name, of(name, rows)) for name, rows in acting.wrenches]
+        parts += [(name, params[0] @ of(f"regressor of {name}", rows)) for name, rows, params in acting.linear]
+        for name, part in parts:
+            wrench = wrench + part
+            if about is not None and name in at_hubs:
+                wrench[3:] += torch.linalg.cross((about - vehicle.com[0])[:, None], part[:3], dim=0)
+        return wrench
+
+    def felt_at(self, place: Tensor, late: Late) -> Tensor:
         """Return what a place [m], body, (3,), feels more than the origin as the vehicle turns as measured [m/s²], (3, T).
 
-        ``alpha x r + w (w r) - w² r``.
+        ``alpha x r + w (w r) - w² r``, as late as the force is logged.
         """
         turning, products = _of_motion()
         square = products.diagonal(dim1=1, dim2=2).sum(dim=1)
         lever = torch.linalg.cross(turning, place[None]) + products @ place - square[:, None] * place
         return lever.T @ self._turning(late)
 
-    def _turning(self, late: float) -> Tensor:
-        """Return the motion as a gyro that is late by some seconds has measured it, (12, T)."""
-        if not late:
+    def _turning(self, late: Late) -> Tensor:
+        """Return the motion that a gyro has measured, as late as the force is logged, (12, T)."""
+        lead = tuple(force - gyro for force, gyro in zip(late.force, late.gyro, strict=True))
+        if not any(lead):
             return self._motion
-        if late != self._late:
-            seconds = [-late] * len(self._data.times)
-            self._late_motion = torch.from_numpy(np.stack(self._data.later(list(self._motion.numpy()), seconds)))
-            self._late = late
+        if lead != self._lead:
+            self._lead, self._late_motion = lead, self._slow(self._motion_rows, lead)
         return self._late_motion
 
-    def _of(self, name: str, rows: Tensor, law: Callable[[Tensor], Tensor] = lambda rows: rows) -> Tensor:
+    def _of(self, name: str, late: tuple[float, ...], rows: Tensor, law: Callable[[Tensor], Tensor]) -> Tensor:
         """Return a law of rows (E, ...) in the band, (..., T), of the same tensor as before or of another one."""
         kept = self._known.setdefault(name, [])
-        for number, (before, found) in enumerate(kept):
-            if rows is before:
+        for number, (before, delays, found) in enumerate(kept):
+            if rows is before and late == delays:
                 kept.insert(0, kept.pop(number))
                 return found
         values = law(rows)
-        found = self._slow(values.flatten(1)).unflatten(0, values.shape[1:])
-        kept.insert(1, (rows, found))
-        del kept[KEPT:]
+        found = self._slow(values.flatten(1), late).unflatten(0, values.shape[1:])
+        kept.insert(1, (rows, late, found))
+        del kept[2 * KEPT :]
         return found
 
-    def _slow(self, rows: Tensor) -> Tensor:
+    def _slow(self, rows: Tensor, late: tuple[float, ...]) -> Tensor:
         """Return rows (E, K) in the band, (K, T)."""
-        return torch.from_numpy(self._data.in_band(rows.T.contiguous().numpy()))
+        return torch.from_numpy(self._data.in_band(rows.T.contiguous().numpy(), late))
 
 
 def _of_motion() -> tuple[Tensor, Tensor]:

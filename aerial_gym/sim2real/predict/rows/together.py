@@ -101,7 +101,7 @@ class Together:
         self._in_band = InBand(data)
         self._nothing = torch.zeros(len(tolerances.names(self._declared.num_rotors)), dtype=torch.float64)
         self._imu = ImuReading(data, self._in_band)
-        self._replayed: list[tuple[list[Array | None], Columns]] = []
+        self._replayed: list[tuple[list[Array | None], float, Columns]] = []
         self._conditions: OrderedDict[tuple[object, ...], tuple[object, Condition]] = OrderedDict()
         self._hung: _Hanging | None = None
         self._params, self._in_step = declared_params(robot), None
@@ -114,8 +114,7 @@ class Together:
         rows = self._rows(asked) if kinds.keys() - {"rotor_speed"} else {}
         if "rotor_speed" in kinds:
             assert asked.speeds is not None
-            late = [float(asked.logged.delays[0])] * len(self.data.times)
-            rows["rotor_speed"] = self.data.later(self._slow_speeds(asked.speeds), late)
+            rows["rotor_speed"] = self._slow_speeds(asked.speeds, float(asked.logged.delays[0]))
         columns = [column for kind in kinds for column in rows[kind]]
         return [[column[span] for column in columns] for span in self.data.kept_spans]
 
@@ -171,7 +170,7 @@ class Together:
                 ("load", self._pull(flown, asked, self._hanging(flown, condition, remembered, asked)))
             )
         about = None if hubs is None else hubs.vehicle.com[0]
-        late = self._imu.clock(asked.logged)[2]
+        late = self._imu.late(asked.logged)
         felt = self._in_band.felt(model, condition.rotor_speed, acting, about=about, late=late)
         noise = asked.logged.answered_noise
         return self._imu.read(model, felt, asked.logged, noise * self._seeming() if noise.any() else None)
@@ -288,18 +287,18 @@ class Together:
                 speed, spin_up = effect.true_speed(speed, params), effect.true_speed(spin_up, params)
         return speed, spin_up
 
-    def _slow_speeds(self, speeds: list[Array | None]) -> Columns:
-        """Return the rotor speeds of all flights in the band."""
-        for place, (before, found) in enumerate(self._replayed):
-            if before is speeds:
+    def _slow_speeds(self, speeds: list[Array | None], late: float) -> Columns:
+        """Return the rotor speeds of all flights in the band, so many seconds late."""
+        for place, (before, seconds, found) in enumerate(self._replayed):
+            if before is speeds and seconds == late:
                 self._replayed.insert(0, self._replayed.pop(place))
                 return found
         parts = []
         for flight, kept, speed in zip(self.data.flights, self.data.kept, speeds, strict=True):
             assert speed is not None
-            parts.append(lowpass(speed, flight.rate, self.data.bandwidth)[kept])
+            parts.append(lowpass(speed, flight.rate, self.data.bandwidth, late=late)[kept])
         found = list(np.concatenate(parts).T.copy())
-        self._replayed.insert(0, (speeds, found))
+        self._replayed.insert(0, (speeds, late, found))
         del self._replayed[REPLAYS:]
         return found
 

@@ -32,6 +32,18 @@ def test_a_sine_keeps_its_phase_and_has_the_gain_of_the_filter(frequency: float)
     assert np.abs(slope - gain * turn * np.cos(angle)[INNER]).max() < 0.01 * turn
 
 
+@pytest.mark.parametrize("frequency", [0.3, 2.0, 8.0, 10.0, 14.0])
+def test_what_comes_later_is_the_same_wave_at_another_time(frequency: float) -> None:
+    """By 13 ms, 2.6 rows: sin goes to H sin of then, at the edge of the band as within it; 1 % leaks from the ends."""
+    angle, gain = 2.0 * np.pi * frequency * TIME + 0.4, lowpass_gain(np.array([frequency]), BAND)[0]
+    then = 2.0 * np.pi * frequency * (TIME - 0.013) + 0.4
+    found = lowpass(np.sin(angle)[:, None], RATE, BAND, late=0.013)[INNER, 0]
+    assert np.abs(found - gain * np.sin(then)[INNER]).max() < 0.01
+    slope = lowpass(np.sin(angle)[:, None], RATE, BAND, derivative=True, late=0.013)[INNER, 0]
+    turn = 2.0 * np.pi * frequency
+    assert np.abs(slope - gain * turn * np.cos(then)[INNER]).max() < 0.01 * turn
+
+
 def test_levels_and_slopes_pass_to_the_very_ends() -> None:
     line = (3.0 - 2.0 * TIME)[:, None]
     np.testing.assert_allclose(lowpass(line, RATE, BAND), line, atol=1e-5)
