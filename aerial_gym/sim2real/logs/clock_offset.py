@@ -31,6 +31,9 @@ vertical drag takes off less; an offset of two rows takes off half (seen on the 
 AGREEING = 4.0
 """Leads of several logs within this many standard deviations of their mean are the same."""
 
+CLEAR_ODDS = 20.0
+"""Where flights do not agree on one clock, an offset must be so many times more probable of one than of late sensors."""
+
 PASSED = 0.85
 """Share of the band whose noise is left between both low-passes: ``7/8 (pi/8) / sin(pi/8)`` of the upper, less 0.05 of it."""
 
@@ -43,15 +46,15 @@ class ClockOffset:
     std: float = 0.0
     """Standard deviation [rows]."""
 
-    def is_a_clock(self, rate: float) -> bool:
+    def is_a_clock(self, rate: float, odds: float = 1.0) -> bool:
         """Return whether it is more probable of another clock than of two sensors that are late, at ``rate`` [Hz].
 
-        A clock may be off by anything that is looked for; rotor speeds and accelerometer are late each by itself.
+        By more than ``odds``. A clock may be off by anything that is looked for; rotor speeds and accelerometer are late each
+        by itself.
         """
         spread = float(np.hypot(np.sqrt(2.0) * LATE_S, self.std / rate))
-        return bool(
-            np.exp(-0.5 * (self.rows / rate / spread) ** 2) / (np.sqrt(2.0 * np.pi) * spread) < 0.5 / LARGEST_SHIFT_S
-        )
+        of_sensors = np.exp(-0.5 * (self.rows / rate / spread) ** 2) / (np.sqrt(2.0 * np.pi) * spread)
+        return bool(odds * of_sensors < 0.5 / LARGEST_SHIFT_S)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,26 +138,32 @@ def common_offsets(found: Sequence[OffsetCurve], learning: int) -> list[ClockOff
     A logger has one clock: a flight whose thrust hardly varies is moved as the others are, unless its own rules that out.
     The first ``learning`` logs decide on it; the others, which are to judge, may only follow it or keep their own.
     None where sensors may as well be late: that is tolerated of each of them beside every effect, and commands are on time.
+    Where those that decide contradict each other, it must be clear: what acts along z may look like an offset in some flights.
     """
-    told = zip(_told_offsets(found, learning), found, strict=True)
-    return [offset if offset.is_a_clock(one.rate) else ClockOffset() for offset, one in told]
+    told, agreed = _told_offsets(found, learning)
+    odds = 1.0 if agreed else CLEAR_ODDS
+    return [
+        offset if offset.is_a_clock(one.rate, odds) else ClockOffset() for offset, one in zip(told, found, strict=True)
+    ]
 
 
-def _told_offsets(found: Sequence[OffsetCurve], learning: int) -> list[ClockOffset]:
+def _told_offsets(found: Sequence[OffsetCurve], learning: int) -> tuple[list[ClockOffset], bool]:
+    """Return the offset of each log, and whether no log that decides contradicts another one."""
     own = [one.offset for one in found]
     told = list(zip(own, found, strict=True))[:learning]
     known = [(offset.rows / one.rate, offset.std / one.rate) for offset, one in told if offset.std > 0.0]
     if not known:
-        return own
+        return own, True
     time, std = np.array(known).T
     mean, spread = float(np.sum(time / std**2) / np.sum(std**-2)), float(np.sum(std**-2) ** -0.5)
     if np.any(np.abs(time - mean) > AGREEING * std):
-        return own
+        return own, False
     same = [ClockOffset(rows=mean * one.rate, std=spread * one.rate) for one in found]
-    return [
+    each = [
         offset if one.rules_out(moved.rows) or abs(offset.rows - moved.rows) > AGREEING * offset.std > 0.0 else moved
         for offset, moved, one in zip(own, same, found, strict=True)
     ]
+    return each, all(offset is moved for offset, moved in zip(each[:learning], same, strict=False))
 
 
 def commands_share_clock(logs: Sequence[FlightLog], offsets: Sequence[ClockOffset], time_constant: float) -> bool:

@@ -183,3 +183,18 @@ def test_what_late_sensors_explain_as_well_is_no_other_clock(offset: float, move
     limits = [time for time in np.arange(5.0, 15.0, 0.1) if ClockOffset(rows=time, std=1e-3).is_a_clock(1000.0)]
     assert min(limits) == pytest.approx(9.0, abs=0.11)
     assert not ClockOffset(rows=10.0, std=5.0).is_a_clock(1000.0)
+
+
+def test_where_flights_contradict_each_other_an_offset_must_be_clear() -> None:
+    """Of odds of 20 to 1 the limit is ``s sqrt(2 ln(20 * 100 / (s sqrt(2 pi))))``, 13.7 ms: 10.8 ms of one of two stay."""
+    rng = np.random.default_rng(12)
+    still, moved = heard(rng, 0.0, size=1.0), heard(rng, 2.2, size=1.0)
+    assert common_offsets([moved], 1)[0].rows == pytest.approx(2.2, abs=0.2)  # between rows a parabola
+    assert common_offsets([moved, still], 2) == [ClockOffset(), ClockOffset()]
+    assert common_offsets([moved, still], 1)[0].rows == pytest.approx(
+        2.2, abs=0.2
+    )  # what only judges contradicts nothing
+    far = heard(rng, 3.2, size=1.0)
+    assert common_offsets([far, still], 2) == [far.offset, ClockOffset()]
+    limits = [time for time in np.arange(5.0, 20.0, 0.1) if ClockOffset(rows=time, std=1e-3).is_a_clock(1000.0, 20.0)]
+    assert min(limits) == pytest.approx(13.7, abs=0.11)
