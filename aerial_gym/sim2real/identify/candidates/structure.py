@@ -186,13 +186,13 @@ class CommonLines:
 
     def find(self, values: Sequence[Array]) -> tuple[float, float] | None:
         """Return frequency [Hz] and share of the variance of the strongest line in values (T,); None without one."""
-        spectra = [self._spectrum(v[:, None])[:, 0] for v in values]
+        spectra = [self._spectrum(v[:, None]) for v in values]
         inner = slice(2 * LINE_WIDTH, self._frequency.size - LINE_WIDTH)
         peak = int(np.argmax(np.mean(spectra, axis=0)[inner])) + 2 * LINE_WIDTH
-        share = min(_line_share(spectrum, peak) for spectrum in spectra)
+        share = min(float(_line_share(spectrum, peak)[0]) for spectrum in spectra)
         if share <= 0.0:
             return None
-        own = float(np.mean([[_line_share(line, peak) for line in m.T] for m in self._flown], axis=0).max())
+        own = float(np.mean([_line_share(flown, peak) for flown in self._flown], axis=0).max())
         return (float(self._frequency[peak]), share) if own < OWN_MOTION * share else None
 
     def _spectrum(self, values: Array) -> Array:
@@ -201,7 +201,7 @@ class CommonLines:
         return density / np.maximum(density.sum(axis=0), 1e-300)
 
 
-def _line_share(spectrum: Array, peak: int) -> float:
-    """Return what a line and its neighbours hold above the level around it."""
-    near = spectrum[max(peak - 6 * LINE_WIDTH, 0) : peak + 6 * LINE_WIDTH + 1]
-    return float((spectrum[peak - LINE_WIDTH : peak + LINE_WIDTH + 1] - np.median(near)).sum())
+def _line_share(spectra: Array, peak: int) -> Array:
+    """Return what a line and its neighbours hold above the level around it, (columns,), of spectra (lines, columns)."""
+    near = spectra[max(peak - 6 * LINE_WIDTH, 0) : peak + 6 * LINE_WIDTH + 1]
+    return (spectra[peak - LINE_WIDTH : peak + LINE_WIDTH + 1] - np.median(near, axis=0)).sum(axis=0)
