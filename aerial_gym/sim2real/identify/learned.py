@@ -208,7 +208,7 @@ class _Trainer:
         self._centre, self._scale = self._felt.mean(axis=0), np.maximum(self._felt.std(axis=0), 1e-6)
         self._inputs = torch.from_numpy((np.clip(self._felt, self._low, self._high) - self._centre) / self._scale)
         self._targets = torch.from_numpy(target / self._size)
-        self._count = left_out.moments.count.astype(int)
+        self._count = left_out.count.astype(int)
         self._fold = np.repeat(left_out.fold, self._count)
 
     def keep(self, chosen: NDArray[np.bool_]) -> None:

@@ -12,7 +12,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit
 from aerial_gym.sim2real.identify.least_squares.leave_out import steps_without
-from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting, folds
+from aerial_gym.sim2real.identify.least_squares.moments import Weighting, folds
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.statistics import student_above
 
@@ -62,6 +62,8 @@ class Scored:
     """A fitted model and how it predicts flights that it has not seen."""
 
     fit: Fit
+    """With the sums of whole flights."""
+
     spread: Uncertainty
     left_out: Array
     """Sums of squares of each block, predicted by the fit without its flight, (B, C)."""
@@ -106,8 +108,11 @@ class Gain:
 class LeftOut:
     """Leaves out one flight after the other and compares models by it."""
 
-    moments: Moments
-    """Of any model: rows and flights of the blocks are those of all."""
+    count: Array
+    """Rows of each block of time, (B,)."""
+
+    flight: NDArray[np.int64]
+    """Which flight a block is from, (B,)."""
 
     weights: Weighting
     criteria: Criteria
@@ -118,7 +123,7 @@ class LeftOut:
     @property
     def fold(self) -> Indices:
         """Return what is left out together: the flight of each block, or the quarter of a single flight, (B,)."""
-        return folds(self.moments.flight)
+        return folds(self.flight)
 
     def squares(self, fit: Fit) -> Array:
         """Return the squares (B, C) of each fold under the fit of the others, of effects and of what tolerances allow."""
@@ -130,7 +135,7 @@ class LeftOut:
         Score: ``sum n_c / 2 log(MS_less / MS_more)`` over channels with n independent samples; its p-value from the same
         sum of each block and the scatter between blocks.
         """
-        count, effective = self.moments.count, self.weights.effective
+        count, effective = self.count, self.weights.effective
         folds = [self.fold == part for part in np.unique(self.fold)]
         blocks = (0.5 * count[:, None] * effective * _log_ratio(less, more)).sum(axis=1)
         spread = blocks.std(ddof=1) / np.sqrt(blocks.size) if blocks.size > 1 else np.inf

@@ -202,7 +202,8 @@ class _Scorer:
         self.beside = Beside(predictor.times, parts, weight, offsets=self.offsets)
         nothing = self._fit((), declared, frozenset())
         self.left_out = LeftOut(
-            moments=nothing.moments,
+            count=nothing.moments.count,
+            flight=nothing.moments.flight,
             weights=self.weights,
             criteria=criteria,
             channels=predictor.channels,
@@ -221,7 +222,9 @@ class _Scorer:
         return self._scored(self._fit(effects, start, frozen))
 
     def _scored(self, fit: Fit) -> Scored:
-        return Scored(fit=fit, spread=uncertainty(fit, self.weights.weight), left_out=self.left_out.squares(fit))
+        spread, left_out = uncertainty(fit, self.weights.weight), self.left_out.squares(fit)
+        by_flight = replace(fit, moments=fit.moments.joined(fit.moments.flight))  # no more of it is asked for any more
+        return Scored(fit=by_flight, spread=spread, left_out=left_out)
 
     def final(self) -> tuple[Scored, Chosen]:
         """Return the named effects fitted, and the choice; parameters that the flights do not show are neutral in both."""

@@ -47,8 +47,10 @@ def predictor_of(flights: list[Flight]) -> Predictor:
 def left_out_of(predictor: Predictor) -> LeftOut:
     """Return the judge of a loop without effects."""
     residuals = predictor.residuals(declared_params(ROBOT))
+    blocks = block_moments(predictor.times, residuals, [np.zeros((*r.shape, 0)) for r in residuals])
     return LeftOut(
-        moments=block_moments(predictor.times, residuals, [np.zeros((*r.shape, 0)) for r in residuals]),
+        count=blocks.count,
+        flight=blocks.flight,
         weights=weights_from(residuals),
         criteria=Criteria(),
         channels=predictor.channels,

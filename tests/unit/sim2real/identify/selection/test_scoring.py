@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting
+from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, LeftOut
 from aerial_gym.sim2real.predict.channels import Channel
 
@@ -15,17 +15,16 @@ BLOCKS, FLIGHTS = 8, 4
 def left_out() -> LeftOut:
     """Return four flights of eight blocks of 60 rows, two channels, nothing tolerated."""
     blocks = BLOCKS * FLIGHTS
-    empty = np.zeros((blocks, 2, 0))
-    moments = Moments(
-        count=np.full(blocks, 60.0),
-        square=np.ones((blocks, 2)),
-        gradient=empty,
-        product=np.zeros((blocks, 2, 0, 0)),
-        flight=np.repeat(np.arange(FLIGHTS), BLOCKS),
-    )
     channels = tuple(Channel(kind="specific_force", axis=axis) for axis in "xy")
     weights = Weighting(variance=np.ones(2), effective=np.full(2, 0.5))
-    return LeftOut(moments=moments, weights=weights, criteria=Criteria(), channels=channels, tolerated=np.zeros(2))
+    return LeftOut(
+        count=np.full(blocks, 60.0),
+        flight=np.repeat(np.arange(FLIGHTS), BLOCKS),
+        weights=weights,
+        criteria=Criteria(),
+        channels=channels,
+        tolerated=np.zeros(2),
+    )
 
 
 def squares(*factors: float) -> np.ndarray:
