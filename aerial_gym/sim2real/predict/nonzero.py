@@ -1,10 +1,10 @@
-"""Which numbers of a table are not zero anywhere along an axis."""
+"""Which numbers of a table are not zero anywhere along some axes."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 
-def not_zero(table: NDArray[np.floating], axis: int) -> NDArray[np.bool_]:
+def not_zero(table: NDArray[np.floating], axis: int | tuple[int, ...]) -> NDArray[np.bool_]:
     """Return ``(table != 0).any(axis)``, of numbers of either sign and what is no number, by their bits: much faster."""
     bits = np.bitwise_or.reduce(table.view(f"u{table.itemsize}"), axis=axis)
     return bits << 1 != 0  # without the sign of a zero

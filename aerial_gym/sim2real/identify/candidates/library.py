@@ -17,20 +17,26 @@ from aerial_gym.sim2real.identify.least_squares.derivatives import (
     change_along,
     effect_jacobian,
     exact_along,
-    single,
     tolerance_jacobian,
 )
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, WEAK_PRIOR, Frozen
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
 from aerial_gym.sim2real.identify.least_squares.parameters import bounds_of, is_number, scales
-from aerial_gym.sim2real.identify.least_squares.weighted import Part, moments_by_channel, weighted_moments, width_of
+from aerial_gym.sim2real.identify.least_squares.weighted import (
+    InChannels,
+    Part,
+    moments_by_channel,
+    weighted_moments,
+    where_moved,
+    width_of,
+)
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-Structures = Callable[[list[Array], dict[str, list[Derivatives]]], Sequence[Nuisance]]
+Structures = Callable[[list[Array], dict[str, list[list[InChannels]]]], Sequence[Nuisance]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,8 +102,12 @@ class Tangent:
     start: Array
     """All parameters, where it is linear, (P,)."""
 
-    columns: Derivatives
+    columns: list[InChannels]
     """By them, per scale, (rows, C, P) of each flight."""
+
+    def whole(self, channels: int) -> Derivatives:
+        """Return the columns with those of all C channels in which they are zero, (rows, C, P) of each flight."""
+        return [part.of_channels(range(channels)) for part in self.columns]
 
 
 def tangents_about(
@@ -116,7 +126,7 @@ def tangents_about(
         named = params is present
         columns = effect_jacobian(predictor, params, (name,), base if named else predictor.predict(params))
         if all(np.isfinite(part).all() for part in columns):  # else a pendulum goes over the top of the present model
-            found.append(Tangent(name=name, named=named, start=params.effects[name], columns=single(columns)))
+            found.append(Tangent(name=name, named=named, start=params.effects[name], columns=where_moved(columns)))
     give_back_memory()
     return found
 
@@ -161,16 +171,17 @@ def build_library(
     base = predictor.predict(present)
     residuals = here = [m - p for m, p in zip(predictor.measured, base, strict=True)]
     candidates, width = list[Candidate](), 0
-    derivatives, own = list[Sequence[Part]](), dict[str, list[Derivatives]]()
+    derivatives, own = list[Sequence[Part]](), dict[str, list[list[InChannels]]]()
     for tangent in tangents:
         name, named, columns = tangent.name, tangent.named, tangent.columns
         neutral, scale = neutral_of(name, declared, predictor.robot), scales((name,))
         if named:  # back to neutral
-            step, exact = (tangent.start - neutral) / scale, [part.astype(np.float64) for part in columns]
+            step = (tangent.start - neutral) / scale
+            exact = [part.astype(np.float64) for part in tangent.whole(len(predictor.channels))]
             change = [b - n for b, n in zip(base, predictor.predict(present.with_effect(name, neutral)), strict=True)]
             exact_along(exact, step, change)
             residuals = [r + change_along(c, step) for r, c in zip(residuals, exact, strict=True)]
-            columns = single(exact)
+            columns = where_moved(exact)
         free = [k for k in range(scale.size) if is_number(name, k) and not (named and (name, k) in frozen)]
         low, high = (((bound - neutral) / scale)[free] for bound in bounds_of(predictor.robot, (name,)))
         places = np.array(free, dtype=int) + width

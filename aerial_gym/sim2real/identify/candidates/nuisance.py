@@ -133,9 +133,7 @@ class Nuisances:
                     _Shape(kind=kind, channel=channel.name, size=size, functions=functions, moved=moved, axes=axes)
                 )
 
-    def beside(
-        self, present: Sequence[Array], effects: Mapping[str, Sequence[Sequence[NDArray[np.floating]]]]
-    ) -> list[Nuisance]:
+    def beside(self, present: Sequence[Array], effects: Mapping[str, Sequence[Sequence[InChannels]]]) -> list[Nuisance]:
         """Return what of them effects cannot make.
 
         Args:
@@ -147,14 +145,14 @@ class Nuisances:
             rivals = [part for name in effects if shape.kind in EFFECTS.get(name).follows for part in effects[name]]
             along = [
                 [
-                    np.einsum("tck,tc->tk", part[:, shape.moved], axis)
+                    np.einsum("tck,tc->tk", part.of_channels(shape.moved), axis)
                     for part, axis in zip(own, shape.axes, strict=True)
                 ]
                 for own in rivals
             ]
             beyond = zip(_beyond(shape.functions, along), shape.axes, strict=True)
             columns = single([shape.size * x[:, None] * axis[..., None] for x, axis in beyond])
-            parts = [InChannels(values=values, channels=shape.moved) for values in columns]
+            parts = [InChannels(values=values, channels=shape.moved, width=values.shape[2]) for values in columns]
             found.append(Nuisance(kind=shape.kind, channel=shape.channel, columns=parts, size=shape.size))
         return [*found, *_offsets(self._channels, present, self._most), *self._tones(present)]
 
@@ -167,12 +165,9 @@ class Nuisances:
                 continue
             size, columns = _rms([part[:, place] for part in self._declared]), []
             for number, time in enumerate(times):
-                waves = np.zeros((time.size, 1, 2 * len(times)), dtype=np.float32)
                 turn = 2.0 * np.pi * line[0] * time
-                waves[:, 0, 2 * number : 2 * number + 2] = (
-                    size * np.sqrt(2.0) * np.column_stack((np.cos(turn), np.sin(turn)))
-                )
-                columns.append(InChannels(values=waves, channels=(place,)))
+                waves = size * np.sqrt(2.0) * np.column_stack((np.cos(turn), np.sin(turn)))[:, None]
+                columns.append(_of_one(number, len(times), waves, place))
             found.append(Nuisance(kind="periodic", channel=channel.name, columns=columns, size=size, freq_hz=line[0]))
         return found
 
@@ -235,11 +230,15 @@ def _offsets(channels: Sequence[Channel], present: Sequence[Array], most: Array)
             continue
         columns = []
         for number, part in enumerate(present):
-            values = np.zeros((len(part), 1, len(present)), dtype=np.float32)
-            values[:, 0, number] = size
-            columns.append(InChannels(values=values, channels=(place,)))
+            columns.append(_of_one(number, len(present), np.full((len(part), 1, 1), size), place))
         found.append(Nuisance(kind=OF_FLIGHTS, channel=channel.name, columns=columns, size=size, most=limit))
     return found
+
+
+def _of_one(flight: int, flights: int, values: Array, channel: int) -> InChannels:
+    """Return the columns of a flight of which it has some for itself, (T, 1, p), as each other one has."""
+    own = values.shape[2]
+    return InChannels(values=values.astype(np.float32), channels=(channel,), width=own * flights, first=own * flight)
 
 
 def _rms(parts: Sequence[Array]) -> float:
@@ -254,7 +253,7 @@ def beyond_structures(structures: Sequence[Nuisance], residuals: Sequence[Array]
         if not own:
             continue
         columns = [
-            np.concatenate([part.in_channel(place) for part in parts], axis=1, dtype=np.float64)
+            np.concatenate([part.of_channels((place,))[:, 0] for part in parts], axis=1, dtype=np.float64)
             for parts in zip(*own, strict=True)
         ]
         product = sum(part.T @ part for part in columns)

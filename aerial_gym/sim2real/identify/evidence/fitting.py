@@ -170,6 +170,8 @@ class Fitter:
         key = tuple(structures)
         if more is None and key in self._beside:
             return self._beside[key]
+        if more is None and len(self._beside) == KEPT_BESIDE:  # before there is another one
+            del self._beside[next(iter(self._beside))]
         parts: list[Sequence[Part]] = [self.tolerance, *(one.columns for one in structures if not one.of_flights)]
         flights = list(zip(*parts, *([] if more is None else [more]), strict=True))
         times, weight = self.predictor.times, self.weights.weight
@@ -177,8 +179,6 @@ class Fitter:
         found = Beside(times, flights, weight, parts=parts_of_a_flight(len(times)), offsets=offsets)
         if more is None:
             self._beside[key] = found
-            if len(self._beside) > KEPT_BESIDE:
-                del self._beside[next(iter(self._beside))]
         return found
 
     def neutral(self, name: str) -> Array:
@@ -256,7 +256,7 @@ class Fitter:
             parts = [
                 effect_jacobian(self.predictor, start, (tangent.name,), base)
                 if has_starts(tangent.name, self.predictor.robot) and not tangent.named
-                else tangent.columns
+                else tangent.whole(len(self.predictor.channels))
                 for tangent in (library.tangents[k] for k in effects)
             ]
             derivatives = [np.concatenate(columns, axis=2) for columns in zip(*parts, strict=True)] if parts else None

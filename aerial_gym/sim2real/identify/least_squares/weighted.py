@@ -21,24 +21,37 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, kw_only=True)
 class InChannels:
-    """Derivatives of a flight that are zero in all other channels."""
+    """Derivatives of a flight by P parameters that are zero in all other channels, and by all other parameters."""
 
     values: NDArray[np.floating]
-    """(T, c, P)."""
+    """By p of the parameters, neighbours, (T, c, p)."""
 
     channels: tuple[int, ...]
     """Which c of the C channels."""
 
-    def in_channel(self, channel: int) -> NDArray[np.floating]:
-        """Return the columns of a channel, (T, P) or (T, 0)."""
-        if channel not in self.channels:
-            return self.values[:, 0, :0]
-        return self.values[:, self.channels.index(channel)]
+    width: int
+    """P."""
 
-    @property
-    def width(self) -> int:
-        """Return P."""
-        return self.values.shape[2]
+    first: int = 0
+    """Which parameter is the first of the p."""
+
+    def of_channels(self, channels: Sequence[int]) -> NDArray[np.floating]:
+        """Return the columns of some channels, (T, channels, P)."""
+        found = np.zeros((self.width, len(channels), len(self.values)), dtype=self.values.dtype).T
+        own = slice(self.first, self.first + self.values.shape[2])
+        for place, channel in enumerate(channels):
+            if channel in self.channels:
+                found[:, place, own] = self.values[:, self.channels.index(channel)]
+        return found
+
+
+def where_moved(flights: Sequence[NDArray[np.floating]]) -> list[InChannels]:
+    """Return derivatives (T, C, P) in single precision, without the channels in which they are zero in all flights."""
+    moved = tuple(np.flatnonzero(np.any([not_zero(part, axis=(0, 2)) for part in flights], axis=0)).tolist())
+    return [
+        InChannels(values=part.T[:, list(moved)].astype(np.float32).T, channels=moved, width=part.shape[2])
+        for part in flights
+    ]
 
 
 Part = NDArray[np.floating] | InChannels
@@ -74,12 +87,15 @@ def _gathered(parts: Sequence[Part], root: Array) -> list[tuple[Indices, Array]]
     found: list[tuple[list[Indices], list[Array]]] = [([], []) for _ in root]
     start = 0
     for part in parts:
-        values, channels = (part.values, part.channels) if isinstance(part, InChannels) else (part, range(root.size))
+        if isinstance(part, InChannels):
+            values, channels, first = part.values, part.channels, start + part.first
+        else:
+            values, channels, first = part, range(root.size), start
         moving = not_zero(values, axis=0)  # (c, P)
         for own, channel in enumerate(channels):
             if moving[own].any():
                 some, column = np.flatnonzero(moving[own]), values[:, own]
-                found[channel][0].append(some + start)
+                found[channel][0].append(some + first)
                 found[channel][1].append(column[:, some] if some.size < column.shape[1] else column)
         start += width_of([part])
     return [

@@ -21,6 +21,7 @@ from aerial_gym.sim2real.identify.evidence.search import Sets, search
 from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, single, tolerance_jacobian, tolerated
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
+from aerial_gym.sim2real.identify.least_squares.weighted import InChannels
 from aerial_gym.sim2real.identify.least_squares.weighting import weighting
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.memory import give_back_memory
@@ -134,6 +135,7 @@ class View:
         """Take a set fitted about itself, and where it does not hold, the same without what does not, fitted as any other."""
         self.own[fitted.label], self.fits[fitted.label] = fitter, fitted
         if not fitted.holds:
+            fitter.forget()  # it is never the best, and what fits it takes memory
             self.add(self.fitter.without_weakest(fitted))
 
     def let_go(self) -> None:
@@ -214,9 +216,12 @@ class Climber:
         def beyond(residuals: list[Array], weights: Weighting) -> list[Array]:
             return beyond_structures(self.nuisances.beside(residuals, {}), residuals, weights)
 
-        linear = [tolerance, *(one.columns for one in several if one.name not in params.effects)]
+        channels = len(self.predictor.channels)
+        linear = [tolerance, *(one.whole(channels) for one in several if one.name not in params.effects)]
         nothing = [np.empty((*residual.shape, 0)) for residual in self.missed]
-        own = [np.concatenate(parts, axis=2) for parts in zip(nothing, *(one.columns for one in common), strict=True)]
+        whole = [one.whole(channels) for one in common]
+        own = [np.concatenate(parts, axis=2) for parts in zip(nothing, *whole, strict=True)]
+        del whole
         return weighting(self.predictor, start, tuple(one.name for one in common), own, linear, beyond=beyond)
 
     def start_from(
@@ -272,6 +277,7 @@ class Climber:
         About a model on time, sensors that are 6 ms late are so in part; what is left looks like a delay of the commands.
         """
         for _ in range(MOST_TURNS):
+            about.forget_beside()
             fitter = self.fitter_about(fitted.within, about.weights)
             before, fitted = fitted.deviation, fitter.again(fitted, about)
             if np.abs(fitted.deviation - before).max(initial=0.0) < SAME_DEVIATION:
@@ -341,7 +347,7 @@ class Climber:
         structures, fitter = list[Nuisance](), own[present.label]
         forget_but(own, present.label)
 
-        def of_residuals(residuals: list[Array], effects: dict[str, list[Derivatives]]) -> list[Nuisance]:
+        def of_residuals(residuals: list[Array], effects: dict[str, list[list[InChannels]]]) -> list[Nuisance]:
             structures.extend(self.nuisances.beside(residuals, effects))
             return structures
 

@@ -39,8 +39,9 @@ def test_an_offset_of_a_flight_is_a_constant_of_that_flight_as_large_as_flights_
     for number, columns in enumerate(x.columns):
         expected = np.zeros((40, 3))
         expected[:, number] = 0.2
-        np.testing.assert_allclose(columns.in_channel(0), expected, rtol=1e-6)
-        assert columns.in_channel(1).shape == (40, 0)
+        np.testing.assert_allclose(columns.of_channels((0,))[:, 0], expected, rtol=1e-6)
+        assert not columns.of_channels((1,)).any()
+        assert columns.values.shape == (40, 1, 1)  # no zeros are kept
     weight = np.array([1.0, 2.0, 3.0])
     own = offsets_of(found, CHANNELS, weight)
     np.testing.assert_allclose(own.size, [0.2, 0.5, 0.0])

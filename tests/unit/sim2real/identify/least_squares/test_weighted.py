@@ -12,6 +12,7 @@ from aerial_gym.sim2real.identify.least_squares.weighted import (
     InChannels,
     moments_by_channel,
     weighted_moments,
+    where_moved,
     width_of,
 )
 
@@ -28,16 +29,32 @@ def flights(seed: int) -> SimpleNamespace:
         times=times,
         residuals=[rng.standard_normal((time.size, 3)) for time in times],
         dense=dense,
-        first=[InChannels(values=rng.standard_normal((time.size, 1, 2)), channels=(0,)) for time in times],
-        last=[InChannels(values=rng.standard_normal((time.size, 2, 3)), channels=(2, 1)) for time in times],
+        first=[InChannels(values=rng.standard_normal((time.size, 1, 2)), channels=(0,), width=2) for time in times],
+        last=[
+            InChannels(values=rng.standard_normal((time.size, 2, 2)), channels=(2, 1), width=3, first=1)
+            for time in times
+        ],
     )
 
 
 def whole(part: InChannels) -> np.ndarray:
     """Return the same derivative with all its zeros, (T, 3, P)."""
     found = np.zeros((part.values.shape[0], 3, part.width))
-    found[:, list(part.channels)] = part.values
+    found[:, list(part.channels), part.first : part.first + part.values.shape[2]] = part.values
     return found
+
+
+def test_zeros_are_put_back_as_they_were() -> None:
+    dense = [part.astype(np.float32) for part in flights(1).dense]
+    for part in dense:
+        part[:, 2] = 0.0
+    dense[0][:, 0] = 0.0  # in one flight alone
+    kept = where_moved(dense)
+    for part, whole_part in zip(kept, dense, strict=True):
+        assert part.channels == (0, 1)
+        np.testing.assert_array_equal(part.of_channels(range(3)), whole_part)
+    late = flights(1).last[0]
+    np.testing.assert_array_equal(late.of_channels(range(3)), whole(late))
 
 
 @pytest.mark.parametrize("parts", [1, 4])
