@@ -27,6 +27,7 @@ RANK = {name: rank for rank, group in enumerate(GROUPS) for name in group}
 
 
 ROOMS = (
+    ("arrays",),
     ("progress", "statistics", "memory"),
     ("logs",),
     ("predict",),

@@ -7,10 +7,10 @@ Letters: S samples, G groups, B bins, C columns, P parameters.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import special
 
-Array = NDArray[np.float64]
+from aerial_gym.sim2real.arrays import Array, Indices
 
 RESAMPLES = 2000
 
@@ -73,7 +73,7 @@ class Rms:
         return {"rms": self.value, "interval": [self.low, self.high]}
 
 
-def rms_with_interval(values: Array, group: NDArray[np.int64], *, seed: int) -> list[Rms]:
+def rms_with_interval(values: Array, group: Indices, *, seed: int) -> list[Rms]:
     """Return the rms of each column, (S, C), with its interval from a bootstrap over whole groups.
 
     Neighbours are not independent, so that groups are drawn, not samples. Source: Davison, Hinkley (1997), Bootstrap
@@ -107,9 +107,7 @@ class Rise:
         return {"rises": self.value, "interval": [self.low, self.high if np.isfinite(self.high) else None]}
 
 
-def rise_with_interval(
-    values: Array, reference: Array, group: NDArray[np.int64], flight: NDArray[np.int64]
-) -> list[Rise]:
+def rise_with_interval(values: Array, reference: Array, group: Indices, flight: Indices) -> list[Rise]:
     """Return ``rms(values) / rms(reference) - 1`` of each column, both (S, C), with its interval over flights.
 
     Both are of the same samples: what makes a sample hard for both does not widen the interval. With ``a_g`` and ``b_g`` the
@@ -136,7 +134,7 @@ def rise_with_interval(
     return [Rise(value=float(v), low=float(lo), high=float(hi)) for v, lo, hi in zip(value, low, high, strict=True)]
 
 
-def _scatter(score: Array, label: NDArray[np.int64]) -> tuple[Array, int]:
+def _scatter(score: Array, label: Indices) -> tuple[Array, int]:
     """Return the variance of the sum of scores (S, C) that clusters show, (C,), and how many there are; infinite for one."""
     labels, place = np.unique(label, return_inverse=True)
     sums = np.zeros((labels.size, score.shape[1]))
@@ -150,7 +148,7 @@ def _scatter(score: Array, label: NDArray[np.int64]) -> tuple[Array, int]:
 class BinnedMean:
     """Means of samples that lie in the same bin."""
 
-    count: NDArray[np.int64]
+    count: Indices
     """Samples of each bin, (B,)."""
 
     mean: Array
@@ -159,7 +157,7 @@ class BinnedMean:
     std_error: Array
     """Of the mean, (B, C); NaN where fewer than two groups share the bin."""
 
-    groups: NDArray[np.int64]
+    groups: Indices
     """Groups that have samples in each bin, (B,): few of them do not know the standard error well."""
 
     @property
@@ -169,7 +167,7 @@ class BinnedMean:
         return student_quantile(normal_above(-1.0), freedom) * self.std_error
 
 
-def binned_mean(values: Array, place: NDArray[np.int64], bins: int, group: NDArray[np.int64]) -> BinnedMean:
+def binned_mean(values: Array, place: Indices, bins: int, group: Indices) -> BinnedMean:
     """Return the mean of each bin and its standard error from the scatter of whole groups.
 
     ``sum_g (s_g - n_g m)² G / (G - 1) / n²`` with the sums ``s_g`` of ``n_g`` samples that group g of G has in the bin.

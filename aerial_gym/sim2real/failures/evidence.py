@@ -22,12 +22,10 @@ Sources:
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.failures.rotor_work import RotorWork
-
-Array = NDArray[np.float64]
 
 FEWEST_BEFORE = 5
 """Blocks before an onset."""
@@ -126,7 +124,7 @@ class Evidence:
         """Return ``RSS / n + s²``."""
         return rss / self.total + self.least**2
 
-    def projected(self, begin: NDArray[np.int64], end: NDArray[np.int64]) -> tuple[Array, Array]:
+    def projected(self, begin: Indices, end: Indices) -> tuple[Array, Array]:
         """Return M_zz and M_zr of columns that act from block ``begin`` to before block ``end``, (..., R) each."""
         across = self._zn[end] - self._zn[begin]
         inner = self._zz[end] - self._zz[begin] - (across**2).sum(axis=-1)

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
@@ -23,11 +22,10 @@ from aerial_gym.control.effectiveness import allocation_matrix, pseudo_inverse
 from aerial_gym.physics.effects import RotorSensorEffect
 from aerial_gym.physics.effects.one_rotor import declared_lag
 from aerial_gym.physics.rotors import hover_speed, rotor_thrust
+from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rows.rotor_estimate import rotors_of
-
-Array = NDArray[np.float64]
 
 BLOCK_S = 0.1
 """Length of a block [s]: some lags of a motor."""
@@ -67,7 +65,7 @@ class RotorWork:
     beside: Array
     """What else an expectation may be off by, as columns, (K, R, Q)."""
 
-    def rows(self, chosen: slice | NDArray[np.bool_]) -> "RotorWork":
+    def rows(self, chosen: slice | Flags) -> "RotorWork":
         """Return some of the blocks."""
         parts = {name: getattr(self, name)[chosen] for name in ("time", "done", "expected", "own", "beside")}
         return replace(self, **parts)

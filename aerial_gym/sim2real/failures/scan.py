@@ -7,14 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.failures.evidence import CONTINUOUS, LONGEST, Evidence, Onsets, Prior, log_evidence
 from aerial_gym.sim2real.failures.rotor_work import RotorWork
 from aerial_gym.sim2real.identify.least_squares.moments import effective_share
 from aerial_gym.sim2real.predict.tolerances import Tolerances
-
-Array = NDArray[np.float64]
 
 KINDS = {
     ("speed", "command"): ("motor_failure", "stuck_rotor", "brown_out"),

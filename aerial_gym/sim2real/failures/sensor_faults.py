@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.position_jumps import HALF_S, Offset, PositionJump, integral, largest_jump
@@ -20,8 +19,6 @@ from aerial_gym.sim2real.logs.repeated_samples import (
     unchanged_since,
 )
 from aerial_gym.sim2real.logs.signals import uniform_log
-
-Array = NDArray[np.float64]
 
 WINDOW_S = 20.0
 """Of a flight that are looked at together [s]: what differences of a position are without a jump has to be seen."""

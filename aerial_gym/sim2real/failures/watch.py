@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.failures.finding import Failure, FailureFinder
 from aerial_gym.sim2real.failures.rotor_work import BLOCK_S, RotorWork
 from aerial_gym.sim2real.failures.sensor_faults import WINDOW_S, SensorFault, SensorWatch
@@ -24,8 +24,6 @@ from aerial_gym.sim2real.logs.on_ground import IDLE
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import LONGEST_GAP_S, uniform_log
 from aerial_gym.sim2real.statistics import FALSE_ALARM_HOURS
-
-Array = NDArray[np.float64]
 
 WINDOW_BLOCKS = 300
 """Blocks that are kept: half a minute."""

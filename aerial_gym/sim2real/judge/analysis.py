@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import RotorEffect, WrenchEffect
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.learned import judge_on_test, train_residual
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import FARTHEST_DEVIATION
 from aerial_gym.sim2real.identify.selection.select import Selection
@@ -35,8 +35,6 @@ from aerial_gym.sim2real.predict.channels import UNITS
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.noise_floor import floor_of_flight, of_all_flights
 from aerial_gym.sim2real.progress import Progress
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.identify.candidates.library import neutral_of
 from aerial_gym.sim2real.identify.least_squares.moments import time_groups
 from aerial_gym.sim2real.judge.evaluation import Evaluation, gap_closed
@@ -18,8 +18,6 @@ from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
 from aerial_gym.sim2real.statistics import Rise, Rms, rise_with_interval, rms_with_interval
-
-Array = NDArray[np.float64]
 
 ACTS_FROM = 0.75
 """An effect acts in the rows in which its contribution is above this quantile."""
@@ -111,7 +109,7 @@ def by_flight(
     return found
 
 
-def _changes(before: Array, after: Array, group: NDArray[np.int64], seed: int) -> list[tuple[tuple[Rms, Rms], Rise]]:
+def _changes(before: Array, after: Array, group: Indices, seed: int) -> list[tuple[tuple[Rms, Rms], Rise]]:
     """Return the rms of both (S, C), and by how much it rises, of each column."""
     rms = zip(*(rms_with_interval(values, group, seed=seed) for values in (before, after)), strict=True)
     rises = rise_with_interval(after, before, group, np.zeros(len(before), dtype=np.int64))
@@ -170,9 +168,7 @@ def where_it_acts(
     )
 
 
-def _looks(
-    flights: Sequence[Flight], times: Sequence[Array], acts: NDArray[np.bool_]
-) -> dict[str, tuple[float, float]]:
+def _looks(flights: Sequence[Flight], times: Sequence[Array], acts: Flags) -> dict[str, tuple[float, float]]:
     """Return means over the rows in which an effect acts and over the others."""
     rows = [np.round(time * flight.rate).astype(int) for flight, time in zip(flights, times, strict=True)]
     found = {}

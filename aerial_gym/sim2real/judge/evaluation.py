@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.least_squares.moments import time_groups
 from aerial_gym.sim2real.logs.flights import Flight, names_of
 from aerial_gym.sim2real.predict.channels import Channel
@@ -14,8 +14,6 @@ from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES, RolloutErrors, roll_out_models
 from aerial_gym.sim2real.statistics import Rms, rms_with_interval
-
-Array = NDArray[np.float64]
 
 LEAST_GAP = 1.21
 """There is something to close where the mean square is this many times the floor's: 10 % in rms."""

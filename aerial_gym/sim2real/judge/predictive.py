@@ -10,10 +10,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.identify.candidates.library import Candidate, Library, build_library
 from aerial_gym.sim2real.identify.candidates.testable import lacks
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
@@ -26,8 +26,6 @@ from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.statistics import ratio_quantile
 
-Array = NDArray[np.float64]
-
 MANY = 1e9
 """Degrees of freedom of a variance that is known."""
 
@@ -36,7 +34,7 @@ PASSES = 3
 
 
 def left_open(
-    test: Predictor, params: ModelParams, selection: Selection, fitted: NDArray[np.bool_] | None = None
+    test: Predictor, params: ModelParams, selection: Selection, fitted: Flags | None = None
 ) -> tuple[Array, Array]:
     """Return the largest mean square of each channel that tolerances and named effects may leave on test flights, (C,).
 
@@ -130,10 +128,10 @@ def quantile_of_squares(
 class Asked:
     """What remains on the test flights."""
 
-    remaining: NDArray[np.bool_]
+    remaining: Flags
     """In which channels, (C,)."""
 
-    enough: Callable[[Array], NDArray[np.bool_]]
+    enough: Callable[[Array], Flags]
     """Whether an rms of each channel, (C,), is near the noise floor or within the tolerances, (C,)."""
 
 
@@ -222,7 +220,7 @@ def _cost(step: Array, library: Library) -> float:
 
 
 def _of_all_flights(
-    a: Array, g: Array, tested: Library, candidate: Candidate | None, columns: NDArray[np.int64], weights: Weighting
+    a: Array, g: Array, tested: Library, candidate: Candidate | None, columns: Indices, weights: Weighting
 ) -> tuple[Array, Array]:
     """Return the step that all flights ask for (``a``, ``g``: training), and what mean squares it leaves of the tested, (C,).
 
@@ -264,6 +262,6 @@ def _ends(candidate: Candidate) -> tuple[tuple[Array, float], tuple[Array, float
     return (candidate.low, -np.inf), (candidate.high, np.inf)
 
 
-def names_of(channels: Sequence[str], chosen: NDArray[np.bool_]) -> tuple[str, ...]:
+def names_of(channels: Sequence[str], chosen: Flags) -> tuple[str, ...]:
     """Return the names of some channels."""
     return tuple(name for name, some in zip(channels, chosen, strict=True) if some)

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.identify.candidates.structure import Structure, find_structure
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, best_step
 from aerial_gym.sim2real.identify.selection.select import Selection
@@ -19,8 +19,6 @@ from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import KINEMATIC
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-
-Array = NDArray[np.float64]
 
 NEAR_FLOOR = 2.0
 """A mean square of less than this many times the floor's is near the noise floor."""
@@ -106,7 +104,7 @@ def find_unexplained(
     if suspected.any():
         within_flights, whole = left_open(test, params, selection, fitted)
 
-    def unexplained_above(floor: Array | None) -> NDArray[np.bool_]:
+    def unexplained_above(floor: Array | None) -> Flags:
         cases = ((about, within_flights), (rms, whole))
         return suspected & np.any(
             [material_excess(rms, floor, tolerated) & (excess_over(rms, floor) > limit) for rms, limit in cases],
@@ -164,7 +162,7 @@ def with_best_deviations(params: ModelParams, fit: Fit, weight: Array) -> ModelP
     return replace(params, deviation=step[own:])
 
 
-def material_excess(rms: Array, floor: Array | None, tolerated: Array) -> NDArray[np.bool_]:
+def material_excess(rms: Array, floor: Array | None, tolerated: Array) -> Flags:
     """Return in which channels more remains than noise and tolerances, (C,); all False where no floor is known.
 
     Args:

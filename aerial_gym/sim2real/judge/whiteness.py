@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 from scipy.integrate import cumulative_trapezoid
 
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.signals import lowpass_gain, without_line
 from aerial_gym.sim2real.predict.channels import Channel
-
-Array = NDArray[np.float64]
 
 EDGES = (0.0, 0.125, 0.25, 0.5, 1.0)
 """Of the octaves, the lowest one down to zero, in units of the band."""

@@ -7,12 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.recording import FlightLog, part_of
 from aerial_gym.sim2real.logs.signals import edge_rows, lagged, lowpass
-
-Array = NDArray[np.float64]
 
 LATE_S = 0.003
 """By how much what is logged is late, each sensor by itself [s], a standard deviation: filters and telemetry take some

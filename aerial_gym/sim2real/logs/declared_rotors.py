@@ -5,15 +5,13 @@ Letters: T rows of a log, R rotors.
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.effects.one_rotor import declared_lag
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.signals import lagged
-
-Array = NDArray[np.float64]
 
 
 def thrusts(robot: RobotCfg, speed: Array) -> Array:

@@ -9,12 +9,12 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.logs.checks.conventions import body_rate_of, check_log, check_quaternion_norm, check_time
 from aerial_gym.sim2real.logs.checks.copies import SeenLogs
 from aerial_gym.sim2real.logs.checks.rotor_law import check_rotor_law
@@ -29,8 +29,6 @@ from aerial_gym.sim2real.logs.recording import FlightLog, Recording, rate_of
 from aerial_gym.sim2real.logs.repeated_samples import mend_repeated_samples
 from aerial_gym.sim2real.logs.rotor_clock import check_rotor_clock, clock_offsets, commands_move
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass, uniform_log, without_gaps
-
-Array = NDArray[np.float64]
 
 FEWEST_HIGH = 10
 """At least one row of so many must lie where commands are scaled to the measured thrust."""
@@ -55,7 +53,7 @@ class Flight(Recording):
     accelerometer: bool
     """Whether ``specific_force`` was measured; if not, it was derived from the velocity."""
 
-    on_ground: NDArray[np.bool_] | None = None
+    on_ground: Flags | None = None
     """Rows in which the vehicle stands on the ground, which are not compared, (T,); None: it never stands."""
 
     @property
@@ -200,7 +198,7 @@ def match_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog:
     return replace(log, rotor_command=scale * log.rotor_command, notes=(*log.notes, note))
 
 
-def complete_flight(log: FlightLog, notes: Sequence[str] = (), *, on_ground: NDArray[np.bool_] | None = None) -> Flight:
+def complete_flight(log: FlightLog, notes: Sequence[str] = (), *, on_ground: Flags | None = None) -> Flight:
     """Return the flight with specific force and angular velocity derived where the log lacks them.
 
     ``on_ground``: rows in which the vehicle stands, (T,).

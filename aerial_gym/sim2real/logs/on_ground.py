@@ -4,17 +4,14 @@ Letters: T rows, R rotors.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.logs.declared_rotors import followed, lift
 from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.bool_]
 
 SMOOTH_S = 0.05
 """Signals are smoothed by a bell of this width [s], which does not ring at a touch: noise is no motion."""
@@ -35,7 +32,7 @@ MOST = 0.8
 """A vehicle that stands in more of the rows than this did not fly."""
 
 
-def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Rows | None:
+def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Flags | None:
     """Return in which rows the vehicle stands, (T,); None if in none, or if nothing tells.
 
     It stands where it is at rest and feels gravity while its rotors give less than half the thrust of the flight, and in the
@@ -84,7 +81,7 @@ def _felt(log: FlightLog, width: float) -> Array | None:
     return np.linalg.norm(change + np.array([0.0, 0.0, STANDARD_GRAVITY]), axis=1)
 
 
-def _at_height_of(stands: Rows, height: Array, reach: float) -> Rows:
+def _at_height_of(stands: Flags, height: Array, reach: float) -> Flags:
     """Return the rows (T,) within ``reach`` [m] of the lowest height of any piece of rows in which the vehicle stands."""
     pieces, count = ndimage.label(stands)  # pyright: ignore[reportGeneralTypeIssues]
     levels = ndimage.minimum(height, pieces, np.arange(1, count + 1))

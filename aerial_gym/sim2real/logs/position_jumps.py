@@ -14,13 +14,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.statistics import FALSE_ALARM_HOURS, student_quantile
-
-Array = NDArray[np.float64]
 
 HALF_S = 0.5
 """What is compared before and after a jump [s]: longer than the gaps of the slowest receivers."""

@@ -8,9 +8,8 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from aerial_gym.sim2real.arrays import Array
 
 HEADER_LINES = 1
 """Of a file, before its first row."""

@@ -7,13 +7,10 @@ replaced by a straight line between the measured ones around it, and the log say
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 SENSORS = ("position", "attitude", "lin_vel", "ang_vel", "specific_force")
 """What never stands still in flight. Rotor speeds and voltages may: they are measured in coarse steps."""
@@ -41,7 +38,7 @@ REGULAR = 0.8
 class RepeatedSamples:
     """Which rows of a sensor were measured, and which repeat the one before."""
 
-    fresh: Rows
+    fresh: Indices
     """Rows with a new value, the first one included."""
 
     num_rows: int
@@ -74,7 +71,7 @@ class FrozenSensor:
     """For how long [s]."""
 
 
-def find_repeated_samples(values: Array, moving: NDArray[np.bool_]) -> RepeatedSamples:
+def find_repeated_samples(values: Array, moving: Flags) -> RepeatedSamples:
     """Return the rows (T, any) that are new; what does not move may repeat."""
     same = np.all(values[1:] == values[:-1], axis=1) & moving[1:]
     return RepeatedSamples(fresh=np.flatnonzero(np.concatenate(([True], ~same))), num_rows=len(values))
@@ -114,7 +111,7 @@ def mend_repeated_samples(log: FlightLog) -> FlightLog:
     return replace(log, **changes, notes=(*log.notes, *notes))
 
 
-def _moving(log: FlightLog) -> NDArray[np.bool_]:
+def _moving(log: FlightLog) -> Flags:
     """Return in which rows the vehicle moves, (T,)."""
     moving = np.zeros(log.time.size, dtype=bool)
     for values in (log.lin_vel, log.ang_vel):

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
@@ -15,6 +14,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.effects.one_rotor import declared_lag
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.clock_offset import (
     LARGEST_SHIFT_S,
     ClockOffset,
@@ -25,8 +25,6 @@ from aerial_gym.sim2real.logs.clock_offset import (
 )
 from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass
-
-Array = NDArray[np.float64]
 
 FAR_S = 0.25
 """Delays of the rotor log are looked for up to this [s]."""

@@ -12,9 +12,8 @@ from scipy import fft
 
 from aerial_gym.errors import DataError
 from aerial_gym.math.decay import decaying_sum
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.recording import FlightLog, part_of
-
-Array = NDArray[np.float64]
 
 FILTER_ORDER = 4
 """Order of the Butterworth low-pass that is run forwards and backwards."""

@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 from html import escape
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from aerial_gym.sim2real.arrays import Array
 
 INCH = 900
 """Units of the drawing in an inch of the page: tenths of a pixel."""

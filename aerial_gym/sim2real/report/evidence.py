@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
 from aerial_gym.sim2real.identify.least_squares.moments import time_groups
 from aerial_gym.sim2real.identify.least_squares.parameters import scales
@@ -21,8 +21,6 @@ from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.report.canvas import Panel, panels
-
-Array = NDArray[np.float64]
 
 MOST_CHANNELS = 4
 """Drawn for a parameter, those that tell most of it."""
@@ -128,7 +126,7 @@ def clues(
     return found
 
 
-def _through_zero(x: Array, y: Array, group: NDArray[np.int64]) -> tuple[float, float]:
+def _through_zero(x: Array, y: Array, group: Indices) -> tuple[float, float]:
     """Return the slope of the least-squares line through zero, and its standard deviation by the scatter of groups."""
     square = float(x @ x)
     if square == 0.0:

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import welch
@@ -16,8 +16,6 @@ from aerial_gym.sim2real.predict.rollout import QUANTITIES
 from aerial_gym.sim2real.report.canvas import Panel, panels
 from aerial_gym.sim2real.report.profiles import FEWEST_ROWS, Profile, bin_edges, place_in
 from aerial_gym.sim2real.statistics import Rms
-
-Array = NDArray[np.float64]
 
 DECLARED, CORRECTED, MEASURED, FLOOR = "#b0413e", "#2a6f97", "#222222", "#888888"
 COLOURS = {"declared": DECLARED, "corrected": CORRECTED}
@@ -96,7 +94,7 @@ def _differ(one: Sequence[Array], other: Sequence[Array], places: Sequence[int])
     return any(np.any(a[:, places] != b[:, places]) for a, b in zip(one, other, strict=True))
 
 
-def _span(time: Array, size: Array) -> NDArray[np.bool_]:
+def _span(time: Array, size: Array) -> Flags:
     """Return the rows of the ``TRACE_S`` in which a size (T,) adds up to most."""
     ends = np.searchsorted(time, time + TRACE_S)
     total = np.concatenate(([0.0], np.cumsum(size)))

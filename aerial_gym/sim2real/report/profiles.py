@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import torch
-from numpy.typing import NDArray
 
 from aerial_gym.physics import Vehicle, vehicle_from_config
 from aerial_gym.physics.rotors import rotor_thrust
+from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.identify.candidates.structure import rows_of
 from aerial_gym.sim2real.identify.least_squares.moments import time_groups
 from aerial_gym.sim2real.logs.flights import Flight
@@ -22,8 +22,6 @@ from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.statistics import BinnedMean, binned_mean
-
-Array = NDArray[np.float64]
 
 BINS = 12
 """Of equal count."""
@@ -84,7 +82,7 @@ def bin_edges(values: Array) -> Array:
     return np.unique(np.quantile(values, np.linspace(0.0, 1.0, BINS + 1)))
 
 
-def place_in(edges: Array, values: Array) -> NDArray[np.int64]:
+def place_in(edges: Array, values: Array) -> Indices:
     """Return the bin of each value; the last one holds its upper edge."""
     return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, edges.size - 2)
 

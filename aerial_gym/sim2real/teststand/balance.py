@@ -11,18 +11,16 @@ from dataclasses import dataclass, replace
 from math import exp, inf
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special, stats
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.teststand.causes import OTHER, ROTORS, Cause, causes, priors, tell_apart
 from aerial_gym.sim2real.teststand.hover import FEWEST_WINDOWS, hovering_rows
 from aerial_gym.sim2real.teststand.scatter import Scatter, ScatterFit, fit_scatter, log_evidence, pooled_scatter
 from aerial_gym.sim2real.teststand.statistics import Estimate, rms
-
-Array = NDArray[np.float64]
 
 SIGNIFICANCE = 0.01
 """What remains holds the cause but for this probability; logs differ where scatter alone would part them less often."""

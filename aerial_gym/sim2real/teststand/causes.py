@@ -9,12 +9,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
-
-Array = NDArray[np.float64]
+from aerial_gym.sim2real.arrays import Array
 
 ROTORS = 4
 """With more, the mixer shares out the thrust, and not the balance."""

@@ -3,8 +3,8 @@
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.teststand.hover import HoverFit
 from aerial_gym.sim2real.teststand.joints.record import JointStudy
 from aerial_gym.sim2real.teststand.static import StaticFit
@@ -13,7 +13,6 @@ from aerial_gym.sim2real.teststand.step import StepFit
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 BEFORE, AFTER, DATA = "#b0413e", "#2a6f97", "#333333"
 

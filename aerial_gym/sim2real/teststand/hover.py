@@ -7,17 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.statistics import FOLDS, Estimate, correlated_covariance, held_out_error, rms
-
-Array = NDArray[np.float64]
 
 WINDOW_S = 0.5
 """Means are taken over windows of this length [s]."""
@@ -92,7 +90,7 @@ class HoverFit:
         return found
 
 
-def hovering_rows(log: FlightLog, speed: Array) -> list[NDArray[np.bool_]]:
+def hovering_rows(log: FlightLog, speed: Array) -> list[Flags]:
     """Return the rows (T,) of each window in which a flight hovers.
 
     Args:
@@ -244,7 +242,7 @@ def _ratio(cause: Array, effect: Array, sizes: Sequence[int], mass_error: float)
 
 
 def _model(
-    name: str, shape: tuple[float, float, float], moments: Array, force: Array, mass: float, group: NDArray[np.int64]
+    name: str, shape: tuple[float, float, float], moments: Array, force: Array, mass: float, group: Indices
 ) -> HoverModel:
     """Return a thrust map of a given shape whose size is fitted without each group in turn."""
     carried, target = moments @ np.array(shape), mass * force

@@ -7,12 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.teststand.statistics import Estimate
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

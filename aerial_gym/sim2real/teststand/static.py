@@ -6,9 +6,9 @@ Letters: T rows, K terms.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.statistics import (
     PARSIMONY,
@@ -20,8 +20,6 @@ from aerial_gym.sim2real.teststand.statistics import (
     rms,
 )
 from aerial_gym.sim2real.teststand.tables import Bench, check_rotor_numbers
-
-Array = NDArray[np.float64]
 
 FEWEST_ROWS = 6
 

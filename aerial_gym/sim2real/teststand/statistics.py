@@ -7,12 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize, stats
 
+from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.statistics import Rms, rms_with_interval
-
-Array = NDArray[np.float64]
 
 PARSIMONY = 0.02
 """A law with fewer parameters is taken if its held-out error is at most this share larger."""
@@ -47,7 +45,7 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def held_out_error(values: Array, group: NDArray[np.int64] | None = None) -> Rms:
+def held_out_error(values: Array, group: Indices | None = None) -> Rms:
     """Return the rms of held-out errors (N,) with a 95 % interval over groups of rows; None: rows are independent."""
     labels = np.arange(values.size) if group is None else group
     return rms_with_interval(values[:, None], labels, seed=0)[0]
@@ -138,7 +136,7 @@ def fit_curve(
     start: Array,
     low: Array,
     high: Array,
-    kept: NDArray[np.bool_] | None = None,
+    kept: Flags | None = None,
 ) -> CurveFit:
     """Return the parameters that minimise the squared residual of ``predict``.
 

@@ -8,14 +8,12 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.statistics import PARSIMONY, CurveFit, Estimate, fit_curve, held_out_error, rms
 from aerial_gym.sim2real.teststand.tables import Bench
-
-Array = NDArray[np.float64]
 
 SHORTEST_STEP = 5
 """Rows per step; fewer do not show a time constant."""
@@ -63,7 +61,7 @@ class StepRecord:
     measured: Array
     """[rad/s], (T,)."""
 
-    starts: NDArray[np.int64]
+    starts: Indices
     """First row of each step, and T at the end."""
 
 
@@ -77,7 +75,7 @@ class LawFit:
     held_out: Array
     """Measured minus predicted by a fit without that step, (T of all records,)."""
 
-    step: NDArray[np.int64] = field(repr=False)
+    step: Indices = field(repr=False)
     """Number of the step of each row, (T of all records,)."""
 
     residual: Array = field(repr=False)

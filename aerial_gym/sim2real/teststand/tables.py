@@ -8,12 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.readers.mapping import UNIT_G
-
-Array = NDArray[np.float64]
 
 UNITS: dict[str, dict[str, float]] = {
     "speed": {"rad/s": 1.0, "rpm": np.pi / 30.0, "rev/s": 2.0 * np.pi},

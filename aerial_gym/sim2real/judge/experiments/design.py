@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects.arm_joint import ArmJoint
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.candidates.library import starts
 from aerial_gym.sim2real.identify.candidates.testable import lacks
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
@@ -34,9 +34,6 @@ from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rows.dataset import ROWS_PER_BAND
-
-Array = NDArray[np.float64]
-
 
 SLOWEST_HZ = 100.0
 """Rows per second of a manoeuvre, at least."""

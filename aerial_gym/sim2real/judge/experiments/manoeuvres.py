@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
@@ -19,11 +18,11 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.control.allocation import allocation_matrix
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import state_for_thrust
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.checks.conventions import body_rate_of
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import continuous_quaternion, lowpass
 
-Array = NDArray[np.float64]
 Path = Callable[[Array], tuple[Array, Array]]
 """Position [m], world, (T, 3), and heading [rad], (T,), at times [s] (T,)."""
 

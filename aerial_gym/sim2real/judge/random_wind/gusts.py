@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.judge.outcome import NOTHING_NAMED
 from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
@@ -29,8 +29,6 @@ from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT, NamedEffect
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-
-Array = NDArray[np.float64]
 
 NAME = "gusts"
 
@@ -129,7 +127,7 @@ def find_random_wind(
     *,
     floor: Array | None,
     tolerated: Array,
-    remaining: NDArray[np.bool_],
+    remaining: Flags,
 ) -> RandomWind:
     """Return what the residual of some flights says about gusts.
 

@@ -9,13 +9,11 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.signals import lowpass_gain
 from aerial_gym.sim2real.statistics import chi_square_above, normal_above
-
-Array = NDArray[np.float64]
 
 LAGS = 20
 """Innovations are held against each other over so many samples."""

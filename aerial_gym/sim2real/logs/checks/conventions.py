@@ -7,20 +7,18 @@ Letters: T rows.
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.checks.kinematics import CHECK_BANDWIDTH_HZ, kinematic_errors
 from aerial_gym.sim2real.logs.checks.rotors import check_rotors
 from aerial_gym.sim2real.logs.checks.units import check_growth, check_units
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
 from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
 from aerial_gym.sim2real.logs.signals import lowpass
-
-Array = NDArray[np.float64]
 
 SHORTEST_S = 2.0
 LOWEST_RATE_HZ = 20.0

@@ -6,15 +6,13 @@ No mass, thrust or drag enters: what is found here is a matter of the sensors, n
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
 from aerial_gym.sim2real.statistics import student_quantile
-
-Array = NDArray[np.float64]
 
 CHECK_BANDWIDTH_HZ = 4.0
 """Comparisons are made below this: slow enough for every log, fast enough for every flight."""

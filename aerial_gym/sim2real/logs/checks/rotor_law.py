@@ -5,17 +5,15 @@ one: in units of the declared slope 1.5 to 3, 1/2, and 2. Letters: T rows, R rot
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.logs.checks.units import SURE
 from aerial_gym.sim2real.logs.declared_rotors import followed, lift
 from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
 from aerial_gym.sim2real.statistics import student_quantile
-
-Array = NDArray[np.float64]
 
 WINDOW_S = 0.25
 """[s]."""
@@ -27,7 +25,7 @@ WRONG = float(np.sqrt(2.0))
 """Beyond this, or below its inverse, a slope is nearer to that of a mistaken column (2 or 1/2) than to 1."""
 
 
-def check_rotor_law(log: FlightLog, robot: RobotCfg, on_ground: NDArray[np.bool_] | None) -> None:
+def check_rotor_law(log: FlightLog, robot: RobotCfg, on_ground: Flags | None) -> None:
     """Raise ``DataError`` if the thrust surely grows with the rotor columns as it does with something else."""
     for name, values in (("rotor", log.rotor_speed), ("cmd", log.rotor_command)):
         if values is None or log.specific_force is None:
@@ -44,7 +42,7 @@ def check_rotor_law(log: FlightLog, robot: RobotCfg, on_ground: NDArray[np.bool_
         )
 
 
-def relative_slope(log: FlightLog, thrust: Array, on_ground: NDArray[np.bool_] | None) -> tuple[float, float]:
+def relative_slope(log: FlightLog, thrust: Array, on_ground: Flags | None) -> tuple[float, float]:
     """Return the interval of ``d ln |f| / d ln T``, what goes with vertical and with squared level speed apart.
 
     Both sides have errors: the slope lies between that of both regressions (see ``units``). 0 to infinity: not shown.

@@ -8,18 +8,16 @@ from itertools import permutations
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
+from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.logs.checks.conventions import WORST_AGREEMENT
 from aerial_gym.sim2real.logs.checks.kinematics import CHECK_BANDWIDTH_HZ
 from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
-
-Array = NDArray[np.float64]
 
 MOST_ROTORS = 6
 """Of more rotors there are too many orders to try."""
@@ -62,7 +60,7 @@ def _misses(
     turning: Array,
     slow: Callable[[Array], Array],
     values: Array,
-    orders: NDArray[np.int64],
+    orders: Indices,
     inertia: Array,
 ) -> Array:
     """Return the share of the angular acceleration that each order leaves, mean over the axes, (N,)."""

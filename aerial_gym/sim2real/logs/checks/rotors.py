@@ -7,16 +7,14 @@ Letters: T rows, R rotors.
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.declared_rotors import lift
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
 from aerial_gym.sim2real.logs.recording import FlightLog
-
-Array = NDArray[np.float64]
 
 
 def check_rotors(log: FlightLog, robot: RobotCfg) -> None:

@@ -10,19 +10,16 @@ from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
 from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass
 from aerial_gym.sim2real.statistics import normal_above, student_quantile
-
-Array = NDArray[np.float64]
-Axes = NDArray[np.bool_]
 
 AXES = np.arange(3)
 
@@ -75,34 +72,34 @@ class Relation:
     """Part of each axis that the other explains, squared correlation, (3,)."""
 
     @property
-    def told(self) -> Axes:
+    def told(self) -> Flags:
         """Return on which axes the motion shows sign and size, (3,)."""
         return self.low > 0.0
 
     @property
-    def moved(self) -> Axes:
+    def moved(self) -> Flags:
         """Return which axes follow another one, (3,)."""
         return np.array(self.order) != np.arange(3)
 
     @property
-    def turned(self) -> Axes:
+    def turned(self) -> Flags:
         """Return which axes have the other sign, (3,)."""
         return self.told & (self.factor < 0.0) & (self.share > SHARED)
 
     @property
-    def scaled(self) -> Axes:
+    def scaled(self) -> Flags:
         """Return on which axes the factor surely is not 1, and nearer to that of a mistaken unit, (3,)."""
         size = np.log(np.where(self.told, np.abs(self.factor), 1.0))
         unit = np.argmin(np.abs(size[:, None] - WRONG), axis=1) > 0
         return self.sure & unit
 
     @property
-    def sure(self) -> Axes:
+    def sure(self) -> Flags:
         """Return on which axes the size of the factor surely is not 1, (3,)."""
         return self.told & ((self.low > 1.0) | (self.high < 1.0))
 
     @property
-    def off(self) -> Axes:
+    def off(self) -> Flags:
         """Return which axes are not what they claim, (3,)."""
         return self.moved | self.turned | self.scaled
 
@@ -214,7 +211,7 @@ def _culprits(found: Relation, log: FlightLog) -> list[str]:
     return wrong or ["v", "p"]
 
 
-def _columns(letters: list[str], axes: Axes) -> str:
+def _columns(letters: list[str], axes: Flags) -> str:
     """Return the names of columns: v_x, v_y or p_x, p_y."""
     return " or ".join(", ".join(f"{letter}_{'xyz'[axis]}" for axis in np.flatnonzero(axes)) for letter in letters)
 

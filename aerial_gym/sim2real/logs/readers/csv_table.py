@@ -9,13 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, ColumnsCfg, LogMapping, find_mapping, mapping_names
 from aerial_gym.sim2real.logs.recording import HEADER_LINES
-
-Array = NDArray[np.float64]
 
 FEW_DIGITS = 20
 """If time stands still in more than one row of so many, it was written with too few digits."""

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.readers.csv_table import (
     columns_of,
     mapping_hint,
@@ -25,8 +25,6 @@ from aerial_gym.sim2real.logs.readers.csv_table import (
 from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, ColumnsCfg, LogMapping, find_mapping
 from aerial_gym.sim2real.logs.readers.ulog import ulog_table
 from aerial_gym.sim2real.logs.recording import HEADER_LINES, FlightLog
-
-Array = NDArray[np.float64]
 
 LARGEST = 1e9
 """Size in SI units beyond which no measurement of a flight is one."""

@@ -12,11 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from aerial_gym.errors import DataError, MissingDependencyError
+from aerial_gym.sim2real.arrays import Array, Flags
 
-Array = NDArray[np.float64]
 Topics = Mapping[str, Mapping[str, Array]]
 
 TOPICS: dict[str, dict[str, str]] = {
@@ -140,7 +139,7 @@ def _on_clock(rows: Array, time: Array, values: Array, step: float, *, held: boo
     return np.where(last - first >= 2, mean + shift * slope, line)
 
 
-def _covered(rows: Array, time: Array, step: float) -> NDArray[np.bool_]:
+def _covered(rows: Array, time: Array, step: float) -> Flags:
     """Return which rows lie between two samples that are not further apart than usual, (T,)."""
     after = np.searchsorted(time, rows, side="left")
     inside = (after < time.size) & ((after > 0) | (time[0] == rows))

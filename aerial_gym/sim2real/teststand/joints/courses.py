@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import torch
-from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
@@ -24,11 +23,10 @@ from aerial_gym.physics.articulated.link_fluid import entrained
 from aerial_gym.physics.articulated.tree import Links, TreeState
 from aerial_gym.physics.model import Model, robot_effects
 from aerial_gym.physics.rotor_lag import follow_command
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass, uniform_log
-
-Array = NDArray[np.float64]
 
 SLOW = 0.05
 """Share of its rms below which a rate counts less for dry friction: v."""

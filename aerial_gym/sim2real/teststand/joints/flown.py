@@ -14,11 +14,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerial_gym.config.joint import JointCfg, JointsCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.joints.courses import Course
 from aerial_gym.sim2real.teststand.statistics import (
@@ -30,8 +30,6 @@ from aerial_gym.sim2real.teststand.statistics import (
     fit_curve,
     held_out_error,
 )
-
-Array = NDArray[np.float64]
 
 CLEAR = 0.8
 """Size of s from which a joint moves to one side for long enough."""
@@ -177,7 +175,7 @@ def _declared_effort(spring: SpringCfg, angle: Array, rate: Array, side: Array) 
     return effort - spring.friction * side
 
 
-def _fit_law(name: str, angle: Array, rate: Array, side: Array, effort: Array, fold: NDArray[np.int64]) -> LawFit:
+def _fit_law(name: str, angle: Array, rate: Array, side: Array, effort: Array, fold: Indices) -> LawFit:
     """Return a law fitted to all rows, with its error on folds left out."""
     left = np.empty_like(effort)
     if name == "quadratic spring":
@@ -201,9 +199,7 @@ def _fit_law(name: str, angle: Array, rate: Array, side: Array, effort: Array, f
     return LawFit(name=name, params=dict(zip(names, found, strict=True)), error=held_out_error(left, fold))
 
 
-def _fit_quadratic(
-    angle: Array, rate: Array, effort: Array, fold: NDArray[np.int64]
-) -> tuple[dict[str, Estimate], Array]:
+def _fit_quadratic(angle: Array, rate: Array, effort: Array, fold: Indices) -> tuple[dict[str, Estimate], Array]:
     names, spread = LAWS["quadratic spring"], float(np.ptp(angle))
     middle, size = float(np.median(angle)), float(np.abs(effort).max()) + 1e-12
     slope = size / spread**2

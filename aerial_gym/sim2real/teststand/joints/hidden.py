@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from aerial_gym.config.joint import SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.physics.articulated.joint_laws import Limits, Spring
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.least_squares.within_bounds import minimum_within
 from aerial_gym.sim2real.logs.signals import edge_rows
 from aerial_gym.sim2real.predict.rows.dataset import SAMPLES_PER_BAND
@@ -30,8 +30,6 @@ from aerial_gym.sim2real.teststand.joints.flown import MATERIAL, joints_of, unfi
 from aerial_gym.sim2real.teststand.joints.found import FoundJoint
 from aerial_gym.sim2real.teststand.joints.swing import CHANNELS, SETTLE_S, Laws, Ride, Swing
 from aerial_gym.sim2real.teststand.statistics import FOLDS, correlated_covariance, estimates, held_out_error
-
-Array = NDArray[np.float64]
 
 LEAST_ROWS = 50
 """That must be left of a flight."""

@@ -7,15 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import odeint
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.statistics import PARSIMONY, CurveFit, Estimate, fit_curve, held_out_error, rms
 from aerial_gym.sim2real.teststand.tables import Bench
-
-Array = NDArray[np.float64]
 
 PUBLISHED = {"stiffness": 5834.85, "damping": 229.24, "rest": 0.12566}
 """Quadratic spring of the Aerial Gym Simulator 2.0.1 for Morphy [1/(rad s²)], [1/s], [rad]: robots/morphy.py."""
@@ -83,7 +81,7 @@ class Release:
     """Angle before the release [rad]."""
 
     @property
-    def block(self) -> NDArray[np.int64]:
+    def block(self) -> Indices:
         """Number of the block of each row, (T,)."""
         return np.searchsorted(np.array(BLOCK_EDGES_S), self.time, side="right")
 
@@ -263,12 +261,12 @@ def fit_joint(record: Release) -> JointStudy:
     )
 
 
-def alternate_blocks(record: Release) -> NDArray[np.int64]:
+def alternate_blocks(record: Release) -> Indices:
     """Return 0 or 1 for every row, (T,): in which of the two halves of the blocks of ``ALTERNATE_S`` it is."""
     return (record.time / ALTERNATE_S).astype(np.int64) % 2
 
 
-def fit_rows(name: str, record: Release, kept: NDArray[np.bool_]) -> dict[str, float]:
+def fit_rows(name: str, record: Release, kept: Flags) -> dict[str, float]:
     """Return the parameters of a law that fit the rows ``kept``, bool (T,), of a record best; ``release`` is among them."""
     return dict(zip(("release", *LAWS[name]), _fit(name, record, kept).params.tolist(), strict=True))
 
@@ -282,7 +280,7 @@ def alternate_error(name: str, record: Release) -> Array:
     return error
 
 
-def _fit(name: str, record: Release, kept: NDArray[np.bool_] | None = None, near: Array | None = None) -> CurveFit:
+def _fit(name: str, record: Release, kept: Flags | None = None, near: Array | None = None) -> CurveFit:
     """Return a law fitted to the rows ``kept``, searched from the parameters ``near``."""
     labels = ("release", *LAWS[name])
     start, low, high = (np.array(column) for column in zip(*(BOUNDS[label] for label in labels), strict=True))

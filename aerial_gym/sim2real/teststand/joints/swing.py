@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
@@ -26,11 +25,10 @@ from aerial_gym.physics.articulated.dynamics import equations
 from aerial_gym.physics.articulated.joint_laws import Limits, Spring
 from aerial_gym.physics.articulated.tree import Links, TreeState
 from aerial_gym.physics.effects import EFFECTS, LinkFluidEffect
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.teststand.joints.courses import checked_rate, pushed_links, rotor_states
-
-Array = NDArray[np.float64]
 
 CHANNELS = ("force x", "force y", "force z", "rotation x", "rotation y", "rotation z")
 """Specific force [m/s²] and angular acceleration [rad/s²]."""

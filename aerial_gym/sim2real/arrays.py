@@ -1,0 +1,8 @@
+"""Names for the types of arrays; shapes and units are said where an array is used."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Indices = NDArray[np.int64]
