@@ -28,7 +28,7 @@ RANK = {name: rank for rank, group in enumerate(GROUPS) for name in group}
 
 ROOMS = (
     ("arrays",),
-    ("progress", "statistics", "memory"),
+    ("plain", "progress", "statistics", "memory"),
     ("logs",),
     ("predict",),
     ("identify",),

@@ -1,6 +1,5 @@
 """The closed loop: flights against the declared model, a named cause for what differs, a corrected robot file."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from aerial_gym.sim2real.in_memory import judge_flights
 from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.logs.inputs import Inputs, read_inputs
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
+from aerial_gym.sim2real.plain import write_json
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.report.ranges import with_found_ranges
@@ -115,8 +115,7 @@ def close_loop(
             "tolerances": vars(judged.declared.tolerances),
         }
         with whole_folder(Path(out_dir)) as folder:
-            text = json.dumps(verdict.as_mapping(), indent=1, ensure_ascii=False, allow_nan=False)
-            (folder / "verdict.json").write_text(text + "\n", encoding="utf-8")
+            write_json(folder / "verdict.json", verdict.as_mapping())
             (folder / "robot.yaml").write_text(dump_yaml(corrected), encoding="utf-8")
             write_report(folder, judged)
             write_record(folder, config, inputs.digests)

@@ -1,6 +1,5 @@
 """A declared model against flights, nothing fitted: residuals, rollouts, a page with plots."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate, missing_f
 from aerial_gym.sim2real.logs.flights import Flight, load_flights, notes_of, rigid_notes
 from aerial_gym.sim2real.logs.inputs import check_bandwidth, file_digests
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
+from aerial_gym.sim2real.plain import write_json
 from aerial_gym.sim2real.predict.channels import comparison_band, find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
 from aerial_gym.sim2real.predict.noise_floor import noise_floor
@@ -127,8 +127,7 @@ def _write(folder: Path, result: Replay) -> None:
     from aerial_gym.sim2real.report.report import render, write_residuals
     from aerial_gym.sim2real.report.tables import SHOWN_NOTES, channel_rows, interval
 
-    text = json.dumps(result.as_mapping(), indent=1, ensure_ascii=False, allow_nan=False)
-    (folder / "replay.json").write_text(text + "\n", encoding="utf-8")
+    write_json(folder / "replay.json", result.as_mapping())
     write_residuals(folder / "residuals.csv", {"replay": result.predictor}, {"declared": result.params})
     channels, found = result.predictor.channels, profiles(result.predictor, {"declared": result.params})
     write_profiles(folder / "profiles.csv", found, channels)

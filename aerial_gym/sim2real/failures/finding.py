@@ -20,6 +20,7 @@ from aerial_gym.physics.rotors import hover_speed, rotor_thrust, state_for_thrus
 from aerial_gym.sim2real.failures.rotor_work import BLOCK_S, RotorWork, RotorWorks
 from aerial_gym.sim2real.failures.scan import Cause, Timed, causes_of, sum_of_odds, timed
 from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.plain import fields_of
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.statistics import FALSE_ALARM_HOURS
 
@@ -81,17 +82,8 @@ class Failure:
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
-        return {
-            "flight": self.flight,
-            "name": self.name,
-            "params": self.params,
-            "std": self.std,
-            "interval": {key: list(ends) for key, ends in self.interval.items()},
-            "log_odds": self.log_odds,
-            "probability": self.probability,
-            "rival": self.rival or None,
-            "sentence": self.sentence,
-        }
+        told = fields_of(self, "flight", "name", "params", "std", "interval", "log_odds", "probability")
+        return {**told, "rival": self.rival or None, "sentence": self.sentence}
 
 
 def least_log_odds(false_alarm_hours: float) -> float:

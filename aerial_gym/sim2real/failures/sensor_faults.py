@@ -19,6 +19,7 @@ from aerial_gym.sim2real.logs.repeated_samples import (
     unchanged_since,
 )
 from aerial_gym.sim2real.logs.signals import uniform_log
+from aerial_gym.sim2real.plain import fields_of
 
 WINDOW_S = 20.0
 """Of a flight that are looked at together [s]: what differences of a position are without a jump has to be seen."""
@@ -57,15 +58,7 @@ class SensorFault:
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
-        return {
-            "flight": self.flight,
-            "name": self.name,
-            "sensor": self.sensor,
-            "params": self.params,
-            "std": self.std,
-            "interval": {key: list(ends) for key, ends in self.interval.items()},
-            "sentence": self.sentence,
-        }
+        return fields_of(self, "flight", "name", "sensor", "params", "std", "interval", "sentence")
 
 
 class SensorWatch:

@@ -17,6 +17,7 @@ from aerial_gym.sim2real.identify.selection.select import Rival, Selection
 from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.judge.whiteness import EDGES, in_octaves, lines
 from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.plain import fields_of, plain
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES, RolloutErrors, roll_out_models
@@ -54,14 +55,7 @@ class WeighedRival:
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
-        return {
-            "name": self.name,
-            "channel": self.channel,
-            "explains": self.explains,
-            "instead_of": self.instead_of,
-            "log_odds": self.log_odds,
-            "because": self.because,
-        }
+        return fields_of(self, "name", "channel", "explains", "instead_of", "log_odds", "because")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,14 +97,10 @@ class Ablation:
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
         channel, rise = self.most
-        horizons = {
-            f"{h:g}": {q: r.as_mapping() for q, r in quantities.items()} for h, quantities in self.rollout.items()
-        }
         return {
             "residual": {"channel": channel, **rise.as_mapping()},
-            "rollout": horizons,
-            "octaves": list(self.octaves),
-            "solid_below_hz": self.solid_below_hz,
+            "rollout": {f"{horizon:g}": plain(rises) for horizon, rises in self.rollout.items()},
+            **fields_of(self, "octaves", "solid_below_hz"),
         }
 
 

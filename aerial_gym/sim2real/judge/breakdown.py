@@ -14,6 +14,7 @@ from aerial_gym.sim2real.identify.least_squares.moments import time_groups
 from aerial_gym.sim2real.judge.evaluation import Evaluation, gap_closed
 from aerial_gym.sim2real.judge.outcome import Outcome, channel_outcome, rollout_outcome
 from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.plain import fields_of
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
@@ -63,12 +64,7 @@ class Regime:
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
-        return {
-            "channel": self.channel,
-            "before": self.before.as_mapping(),
-            "after": self.after.as_mapping(),
-            "gap_closed": self.gap_closed,
-        }
+        return fields_of(self, "channel", "before", "after", "gap_closed")
 
 
 def by_flight(

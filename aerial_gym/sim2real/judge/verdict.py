@@ -21,6 +21,7 @@ from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.judge.experiments.design import Advice
 from aerial_gym.sim2real.judge.outcome import NOT_SHOWN, Outcome, meaning, said_first
 from aerial_gym.sim2real.judge.whiteness import Whiteness
+from aerial_gym.sim2real.plain import fields_of, plain
 
 MOST_CONFIDENT = 0.9999
 LEAST_SHOWN = 0.05
@@ -69,21 +70,16 @@ class NamedEffect:
             for key, value in self.params.items()
             if key in self.std
         }
-        worth, regime = self.ablation, self.regime
+        worth = self.ablation
         return {
-            "name": self.name,
-            "params": self.params,
-            "std": self.std,
+            **fields_of(self, "name", "params", "std"),
             "interval": interval,
-            "noise_std": self.noise_std,
-            "frozen": list(self.frozen),
-            "confidence": self.confidence,
-            "ties": list(self.ties),
-            "ties_in_part": [rival.as_mapping() for rival in self.in_part],
+            **fields_of(self, "noise_std", "frozen", "confidence", "ties"),
+            "ties_in_part": plain(self.in_part),
             "material": worth is None or worth.material,
-            "without_it": worth and worth.as_mapping(),
-            "where_it_acts": regime and regime.as_mapping(),
-            "rival": worth.rivals[0].as_mapping() if worth and worth.rivals else None,
+            "without_it": plain(worth),
+            "where_it_acts": plain(self.regime),
+            "rival": plain(worth.rivals[0]) if worth and worth.rivals else None,
         }
 
 
@@ -181,33 +177,22 @@ class Verdict:
 
     def as_mapping(self) -> dict[str, object]:
         """Return the contract for JSON."""
-        learned = [self.learned.as_mapping()] if self.learned is not None and self.learned.cfg is not None else []
+        learned = [self.learned] if self.learned is not None and self.learned.cfg is not None else []
         return {
-            "verdict": self.verdict,
-            "reason": self.reason,
-            "meaning": self.meaning,
-            "test_flights": {found.name: found.as_mapping() for found in self.outcomes},
-            "effects": [*(effect.as_mapping() for effect in self.effects), *learned],
-            "failures": [failure.as_mapping() for failure in self.failures],
-            "joints": list(self.joints),
-            "candidates": list(self.candidates),
+            **fields_of(self, "verdict", "reason", "meaning"),
+            "test_flights": {found.name: plain(found) for found in self.outcomes},
+            "effects": plain([*self.effects, *learned]),
+            **fields_of(self, "failures", "joints", "candidates"),
             "not_testable": list(self.not_testable),
             "not_testable_because": self.not_testable,
-            "manoeuvre": None if self.manoeuvre is None else self.manoeuvre.as_mapping(),
-            "fly_next": {name: advice.as_mapping() for name, advice in self.fly_next.items()},
+            **fields_of(self, "manoeuvre", "fly_next"),
             "inclusion": {name: share for name, share in self.inclusion.items() if share >= LEAST_SHOWN},
-            "structure": self.structure.as_mapping(),
-            "whiteness": {
-                name: {"probability": found.probability, "white": found.white, "octaves": list(found.octaves)}
-                for name, found in self.whiteness.items()
-            },
-            "unexplained": list(self.unexplained),
-            "not_shown": list(self.not_shown),
+            **fields_of(self, "structure", "whiteness", "unexplained", "not_shown"),
             "learned_residual": None if self.learned is None else self.learned.sentence,
             "before": self.before.as_mapping(),
             "after": self.after.as_mapping(before=self.before),
             "flights": {
-                name: {part.became.name: part.as_mapping() for part in parts} for name, parts in self.flights.items()
+                name: {part.became.name: plain(part) for part in parts} for name, parts in self.flights.items()
             },
             "notes": list(self.notes),
         }

@@ -13,6 +13,7 @@ from scipy.integrate import cumulative_trapezoid
 
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.signals import lowpass_gain, without_line
+from aerial_gym.sim2real.plain import fields_of
 from aerial_gym.sim2real.predict.channels import Channel
 
 EDGES = (0.0, 0.125, 0.25, 0.5, 1.0)
@@ -42,6 +43,10 @@ class Whiteness:
     def white(self) -> bool:
         """Return whether it may be noise."""
         return self.probability >= WHITE
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        return fields_of(self, "probability", "white", "octaves")
 
 
 def lines(

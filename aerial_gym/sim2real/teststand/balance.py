@@ -17,6 +17,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.plain import fields_of
 from aerial_gym.sim2real.teststand.causes import OTHER, ROTORS, Cause, causes, priors, tell_apart
 from aerial_gym.sim2real.teststand.hover import FEWEST_WINDOWS, hovering_rows
 from aerial_gym.sim2real.teststand.scatter import Scatter, ScatterFit, fit_scatter, log_evidence, pooled_scatter
@@ -40,6 +41,10 @@ class HoverEffort:
     windows: int
     voltage: float | None
     """Mean battery voltage [V]."""
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON, without the effort, which the shares tell of."""
+        return fields_of(self, "name", "windows", "voltage")
 
 
 def hover_effort(log: FlightLog) -> HoverEffort:
@@ -98,10 +103,8 @@ class CauseFit:
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
         return {
-            "name": self.cause.name,
-            "motor": self.cause.motor,
-            "params": {name: value.as_mapping() for name, value in self.params.items()},
-            "place": None if self.place is None else [axis.as_mapping() for axis in self.place],
+            **fields_of(self.cause, "name", "motor"),
+            **fields_of(self, "params", "place"),
             "misfit_p": self.fit.misfit,
             "probability": self.probability,
             "judged_p": self.judged,
@@ -119,11 +122,7 @@ class Change:
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
-        return {
-            "baseline": self.baseline.as_mapping(),
-            "flights": self.flights.as_mapping(),
-            "change": self.change.as_mapping(),
-        }
+        return fields_of(self, "baseline", "flights", "change")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,17 +161,10 @@ class Balance:
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
         return {
-            "verdict": self.verdict,
-            "candidates": list(self.candidates),
-            "fits": [fit.as_mapping() for fit in self.fits],
-            "tell_apart": list(self.tell_apart),
-            "shares": [share.as_mapping() for share in self.shares],
+            **fields_of(self, "verdict", "candidates", "fits", "tell_apart", "shares"),
             "sum": self.total.as_mapping(),
             "scatter": {"freedom": self.freedom, "relative_std": self.scatter.tolist()},
-            "logs": {
-                w: [{"name": h.name, "windows": h.windows, "voltage": h.voltage} for h in hovers]
-                for w, hovers in (("baseline", self.baseline), ("flights", self.flights), ("test", self.test))
-            },
+            "logs": fields_of(self, "baseline", "flights", "test"),
             "notes": list(self.notes),
         }
 

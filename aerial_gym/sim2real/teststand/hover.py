@@ -14,6 +14,7 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.plain import plain
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.statistics import FOLDS, Estimate, correlated_covariance, held_out_error, rms
 
@@ -80,7 +81,7 @@ class HoverFit:
             "c_t_by_flight": self.by_flight,
             "chosen": self.chosen,
             "unit": "m/s²",
-            "candidates": {name: model.error.as_mapping() for name, model in self.models.items()},
+            "candidates": {name: plain(model.error) for name, model in self.models.items()},
             "notes": list(self.notes),
         }
         if self.scale is not None:

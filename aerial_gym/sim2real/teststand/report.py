@@ -1,6 +1,5 @@
 """What an identification leaves behind: tables for people, figures, JSON, and a robot file with the new numbers."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import TYPE_CHECKING
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import RobotCfg, RotorCfg
 from aerial_gym.sim2real.logs.inputs import file_digests
+from aerial_gym.sim2real.plain import write_json
 from aerial_gym.sim2real.report.run_folder import check_out_dir, whole_folder, write_record
 
 if TYPE_CHECKING:
@@ -60,8 +60,7 @@ def write_study(out_dir: Path, study: Study, config: dict[str, object], inputs: 
         for name, figure in study.figures.items():
             figure.savefig(folder / f"{name}.png", dpi=90, bbox_inches="tight")
         (folder / "report.md").write_text(study.markdown(), encoding="utf-8")
-        text = json.dumps(study.mapping, indent=1, ensure_ascii=False, allow_nan=False)
-        (folder / "result.json").write_text(text + "\n", encoding="utf-8")
+        write_json(folder / "result.json", study.mapping)
         for name, text in study.files.items():
             (folder / name).write_text(text, encoding="utf-8")
         write_record(folder, config, file_digests(inputs))

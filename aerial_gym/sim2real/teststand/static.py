@@ -9,6 +9,7 @@ import numpy as np
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.plain import fields_of, plain
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.statistics import (
     PARSIMONY,
@@ -64,8 +65,7 @@ class MapFit:
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
-        numbers = {name: value.as_mapping() for name, value in self.coefficients.items()}
-        return {"name": self.name, "fit_rms": self.fit_rms, "held_out_rms": self.held_out_rms, "coefficients": numbers}
+        return fields_of(self, "name", "fit_rms", "held_out_rms", "coefficients")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,11 +97,10 @@ class Choice:
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
         return {
-            "unit": self.unit,
-            "chosen": self.chosen,
-            "before": {"model": "w²", "held_out": self.before.as_mapping()},
-            "after": {"model": self.chosen, "held_out": self.after.as_mapping()},
-            "candidates": [fit.as_mapping() for fit in self.candidates.values()],
+            **fields_of(self, "unit", "chosen"),
+            "before": {"model": "w²", "held_out": plain(self.before)},
+            "after": {"model": self.chosen, "held_out": plain(self.after)},
+            "candidates": plain(list(self.candidates.values())),
         }
 
 
@@ -137,17 +136,15 @@ class StaticFit:
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
-        found: dict[str, object] = {
-            "name": self.name,
-            "rows": self.speed.size,
-            "c_t": self.thrust_coefficient.as_mapping(),
-            "thrust": self.thrust_map.as_mapping(),
+        parts = {
+            "c_t": self.thrust_coefficient,
+            "thrust": self.thrust_map,
+            "c_t2t": self.torque_ratio,
+            "torque": self.torque_map,
+            "reverse": self.reverse,
         }
-        if self.torque_map is not None and self.torque_ratio is not None:
-            found |= {"c_t2t": self.torque_ratio.as_mapping(), "torque": self.torque_map.as_mapping()}
-        if self.reverse is not None:
-            found["reverse"] = self.reverse.as_mapping()
-        return found | {"notes": list(self.notes)}
+        found = {name: plain(part) for name, part in parts.items() if part is not None}
+        return {"name": self.name, "rows": self.speed.size, **found, "notes": list(self.notes)}
 
 
 def fit_static(bench: Bench, *, num_motors: int = 1) -> tuple[list[StaticFit], list[str]]:

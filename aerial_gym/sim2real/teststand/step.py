@@ -11,6 +11,7 @@ import numpy as np
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Indices
+from aerial_gym.sim2real.plain import fields_of, plain
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.statistics import PARSIMONY, CurveFit, Estimate, fit_curve, held_out_error, rms
 from aerial_gym.sim2real.teststand.tables import Bench
@@ -93,9 +94,7 @@ class LawFit:
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
-        numbers = {name: value.as_mapping() for name, value in self.params.items()}
-        held_out = self.error.as_mapping()
-        return {"name": self.name, "fit_rms": self.fit_rms, "held_out": held_out, "params": numbers}
+        return {**fields_of(self, "name", "fit_rms"), "held_out": plain(self.error), "params": plain(self.params)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,11 +114,10 @@ class StepFit:
         first, best = self.laws["one time constant"], self.laws[self.chosen]
         return {
             "unit": "rad/s",
-            "chosen": self.chosen,
-            "in_robot": self.in_robot,
-            "before": {"model": first.name, "fit_rms": first.fit_rms, "held_out": first.error.as_mapping()},
-            "after": {"model": self.chosen, "fit_rms": best.fit_rms, "held_out": best.error.as_mapping()},
-            "candidates": [law.as_mapping() for law in self.laws.values()],
+            **fields_of(self, "chosen", "in_robot"),
+            "before": {"model": first.name, "fit_rms": first.fit_rms, "held_out": plain(first.error)},
+            "after": {"model": self.chosen, "fit_rms": best.fit_rms, "held_out": plain(best.error)},
+            "candidates": plain(list(self.laws.values())),
             "notes": list(self.notes),
         }
 

@@ -17,6 +17,7 @@ from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.outcome import NOTHING_NAMED
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import uniform_log
+from aerial_gym.sim2real.plain import fields_of, plain
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.joints.courses import read_course
@@ -66,13 +67,7 @@ class FoundJoints:
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
-        channels = {name: [one.as_mapping() for one in pair] for name, pair in self.channels.items()}
-        joints = self.logged or self.joints
-        return {
-            "joints": [joint.as_mapping() for joint in joints],
-            "left_out": list(self.left_out),
-            "channels": channels,
-        }
+        return {"joints": plain(self.logged or self.joints), **fields_of(self, "left_out", "channels")}
 
     def corrected(self, robot: RobotCfg, source: str) -> RobotCfg:
         """Return the robot with what has changed in its joints."""

@@ -19,6 +19,7 @@ from aerial_gym.config.joint import JointCfg, JointsCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.arrays import Array, Indices
+from aerial_gym.sim2real.plain import fields_of, plain
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.joints.courses import Course
 from aerial_gym.sim2real.teststand.statistics import (
@@ -76,18 +77,11 @@ class FlownJoint:
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
         return {
-            "name": self.name,
-            "changed": list(self.changed),
-            "chosen": self.chosen,
-            "rows": self.rows,
+            **fields_of(self, "name", "changed", "chosen", "rows"),
             "before": self.declared.as_mapping(),
             "after": self.laws[self.chosen].error.as_mapping(),
             "laws": {
-                law.name: {
-                    "held_out": law.error.as_mapping(),
-                    "params": {name: value.as_mapping() for name, value in law.params.items()},
-                }
-                for law in self.laws.values()
+                name: {"held_out": plain(law.error), "params": plain(law.params)} for name, law in self.laws.items()
             },
         }
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from aerial_gym.config.joint import SpringCfg
+from aerial_gym.sim2real.plain import fields_of
 from aerial_gym.sim2real.teststand.statistics import Estimate
 
 
@@ -33,9 +34,4 @@ class FoundJoint:
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
-        return {
-            "name": self.name,
-            "changed": list(self.changed),
-            "declared": self.declared,
-            "params": {name: value.as_mapping() for name, value in self.params.items()},
-        }
+        return fields_of(self, "name", "changed", "declared", "params")

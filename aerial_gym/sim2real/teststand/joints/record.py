@@ -11,6 +11,7 @@ from scipy.integrate import odeint
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
+from aerial_gym.sim2real.plain import plain
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.statistics import PARSIMONY, CurveFit, Estimate, fit_curve, held_out_error, rms
 from aerial_gym.sim2real.teststand.tables import Bench
@@ -141,7 +142,7 @@ class JointStudy:
                     "held_out_by_block": list(law.block_rms),
                     "forecast": self.forecast[law.name].as_mapping(),
                     "alternate": spans(self.record.time, self.alternate[law.name]),
-                    "params": {name: value.as_mapping() for name, value in law.params.items()},
+                    "params": plain(law.params),
                 }
                 for law in self.laws.values()
             ],
