@@ -91,6 +91,11 @@ class Onsets:
     """How much more than expected is done, relative; what a stuck rotor keeps, in parts of hover."""
 
 
+def _sums_before(values: Array) -> Array:
+    """Return the sums of the blocks before each, and of all, (K + 1, any)."""
+    return np.concatenate((np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)))
+
+
 class Evidence:
     """Sums over the blocks of one quantity of all rotors."""
 
@@ -101,19 +106,16 @@ class Evidence:
         self.count, self.rotors = self.residual.shape
         self.ridge = least**2 * np.eye(columns.shape[2])
         outer = columns[..., :, None] * columns[..., None, :]
-        self._gram = np.cumsum(outer, axis=0)  # (K, R, Q, Q) up to and with each block
-        self._lean = np.cumsum(columns * self.residual[..., None], axis=0)
+        self._gram = _sums_before(outer)  # (K + 1, R, Q, Q)
+        self._lean = _sums_before(columns * self.residual[..., None])
         self.inverse = np.linalg.inv(self._gram[-1] + self.ridge)  # (R, Q, Q)
         self.beside = np.einsum("rpq,rq->rp", self.inverse, self._lean[-1])
-        self._squares = np.cumsum(self.residual**2, axis=0)
+        self._squares = _sums_before(self.residual**2)
         self.rss = np.maximum(self._squares[-1] - np.einsum("rq,rq->r", self._lean[-1], self.beside), 0.0)
-        first = np.zeros((1, self.rotors))
-        self._zz = np.concatenate((first, np.cumsum(work.own**2, axis=0)))
-        self._zr = np.concatenate((first, np.cumsum(work.own * self.residual, axis=0)))
+        self._zz, self._zr = _sums_before(work.own**2), _sums_before(work.own * self.residual)
         root = np.linalg.cholesky(self.inverse)  # columns that are orthonormal beside each other
         self._along = np.einsum("rqp,rq->rp", root, self._lean[-1])
-        own = np.einsum("krq,rqp->krp", np.cumsum(work.own[..., None] * columns, axis=0), root)
-        self._zn = np.concatenate((np.zeros((1, *own.shape[1:])), own))
+        self._zn = np.einsum("krq,rqp->krp", _sums_before(work.own[..., None] * columns), root)
 
     @property
     def total(self) -> float:
@@ -150,10 +152,9 @@ class Evidence:
 
     def stuck(self, kind: str, share: float = 1.0) -> Onsets:
         """Return rotors that do the same from an onset on, whatever is expected."""
-        before = np.concatenate((np.zeros((1, *self._gram.shape[1:])), self._gram[:-1])) + self.ridge
-        lean = np.concatenate((np.zeros((1, *self._lean.shape[1:])), self._lean[:-1]))
-        fitted = np.linalg.solve(before, lean[..., None])[..., 0]
-        squares = np.concatenate((np.zeros((1, self.rotors)), self._squares[:-1])) - (lean * fitted).sum(axis=-1)
+        lean = self._lean[:-1]
+        fitted = np.linalg.solve(self._gram[:-1] + self.ridge, lean[..., None])[..., 0]
+        squares = self._squares[:-1] - (lean * fitted).sum(axis=-1)
         done = self.work.done
         left = np.arange(self.count, 0, -1)[:, None].astype(float)
         kept = np.cumsum(done[::-1], axis=0)[::-1] / left

@@ -5,7 +5,7 @@ after its onset is not compared with the vehicle as it was before. Letters: T ro
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from math import hypot
 
 import numpy as np
@@ -15,11 +15,11 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import vehicle_from_config
-from aerial_gym.physics.effects.one_rotor import declared_lag
 from aerial_gym.physics.rotors import hover_speed, rotor_thrust, state_for_thrust
 from aerial_gym.sim2real.failures.rotor_work import BLOCK_S, RotorWork, RotorWorks
 from aerial_gym.sim2real.failures.scan import Cause, Timed, causes_of, sum_of_odds, timed
 from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.recording import part_of
 from aerial_gym.sim2real.plain import fields_of
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.statistics import FALSE_ALARM_HOURS
@@ -107,7 +107,7 @@ class FailureFinder:
         if not 0.0 < false_alarm_hours < np.inf:
             raise ConfigError(f"false_alarm_hours = {false_alarm_hours!r}: must be > 0 and finite")
         self.works, self.limit = RotorWorks(robot), least_log_odds(false_alarm_hours)
-        self._tolerances, self._lag = tolerances or Tolerances(), 0.5 * sum(declared_lag(robot))
+        self._tolerances = tolerances or Tolerances()
         self._vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
         self._hover = hover_speed(self._vehicle, STANDARD_GRAVITY)
 
@@ -189,15 +189,8 @@ def until_failure(flights: Sequence[Flight], failures: Sequence[Failure]) -> lis
         if flight.name not in onset:
             found.append(flight)
         elif onset[flight.name] >= SHORTEST_S:
-            found.append(_cut(flight, int(onset[flight.name] * flight.rate)))
+            found.append(part_of(flight, slice(0, int(onset[flight.name] * flight.rate))))
     return found
-
-
-def _cut(flight: Flight, rows: int) -> Flight:
-    """Return the first rows of a flight."""
-    arrays = {f.name: getattr(flight, f.name) for f in fields(flight)}
-    kept = {name: v[:rows] for name, v in arrays.items() if isinstance(v, np.ndarray)}
-    return replace(flight, **kept)
 
 
 def same_in_all(failures: Sequence[Failure], flights: int) -> Failure | None:

@@ -20,9 +20,9 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.control.effectiveness import allocation_matrix, pseudo_inverse
 from aerial_gym.physics.effects import RotorSensorEffect
-from aerial_gym.physics.effects.one_rotor import declared_lag
 from aerial_gym.physics.rotors import hover_speed, rotor_thrust
 from aerial_gym.sim2real.arrays import Array, Flags
+from aerial_gym.sim2real.logs.declared_rotors import mean_lag
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rows.rotor_estimate import rotors_of
@@ -67,13 +67,15 @@ class RotorWork:
 
     def rows(self, chosen: slice | Flags) -> "RotorWork":
         """Return some of the blocks."""
-        parts = {name: getattr(self, name)[chosen] for name in ("time", "done", "expected", "own", "beside")}
-        return replace(self, **parts)
+        return replace(self, **{name: getattr(self, name)[chosen] for name in OF_BLOCKS})
 
     def followed_by(self, other: "RotorWork") -> "RotorWork":
         """Return these blocks and then those of another part of the flight."""
-        names = ("time", "done", "expected", "own", "beside")
-        return replace(self, **{n: np.concatenate((getattr(self, n), getattr(other, n))) for n in names})
+        return replace(self, **{n: np.concatenate((getattr(self, n), getattr(other, n))) for n in OF_BLOCKS})
+
+
+OF_BLOCKS = ("time", "done", "expected", "own", "beside")
+"""Fields of a ``RotorWork`` that have a row for each block."""
 
 
 class RotorWorks:
@@ -88,7 +90,7 @@ class RotorWorks:
         self._mass, self._inertia = float(vehicle.mass[0]), vehicle.inertia[0].numpy()
         self._hover = hover_speed(vehicle, STANDARD_GRAVITY).numpy()
         self._hover_thrust = rotor_thrust(vehicle, torch.from_numpy(self._hover)[None])[0].numpy()
-        self._lag = 0.5 * sum(declared_lag(robot))
+        self._lag = mean_lag(robot)
 
     def of(self, flight: Flight, *, volts: float | None = None) -> list[RotorWork]:
         """Return the quantities of a flight that its log has, in whole blocks.
@@ -139,12 +141,8 @@ class RotorWorks:
         wrench = np.concatenate((self._mass * _means(force, size, count), torque), axis=1)
         expected, own = given @ self._share.T, given * np.diag(self._share)
         hover = self._hover_thrust
-        columns = [
-            expected / hover,
-            np.ones_like(expected),
-            np.broadcast_to(given.sum(axis=1, keepdims=True), given.shape),
-        ]
-        columns[2] = columns[2] / hover.sum()
+        whole = np.broadcast_to(given.sum(axis=1, keepdims=True), given.shape) / hover.sum()
+        columns = [expected / hover, np.ones_like(expected), whole]
         if flight.lin_vel is not None:
             speed = Rotation.from_quat(flight.attitude).apply(flight.lin_vel, inverse=True)
             speed = _means(speed, size, count) / FASTEST

@@ -109,40 +109,23 @@ def _causes(evidence: Evidence, share: float, kinds: int) -> list[Cause]:
     found = []
     for kind in KINDS[evidence.work.quantity, evidence.work.driven_by]:
         onsets = _onsets(evidence, kind, share)
-        if kind == "brown_out":
-            begin, lasting = np.unravel_index(int(np.argmax(onsets.log_odds)), onsets.log_odds.shape)
-            end = None if lasting == LONGEST else int(begin + lasting) + 1
+        for rotor in (None,) if kind == "brown_out" else range(evidence.rotors):
+            own = slice(None) if rotor is None else [rotor]
+            odds, change = onsets.log_odds[:, own], onsets.change[:, own]
+            begin, lasting = (int(place) for place in np.unravel_index(int(np.argmax(odds)), odds.shape))
             found.append(
-                _cause(evidence, kind, None, onsets.log_odds, int(begin), end, onsets.change[begin, lasting], kinds)
+                Cause(
+                    work=evidence.work,
+                    evidence=evidence,
+                    kind=kind,
+                    rotor=rotor,
+                    log_odds=float(np.logaddexp.reduce(odds.ravel()) - np.log(kinds)),
+                    begin=begin,
+                    end=None if rotor is not None or lasting == LONGEST else begin + lasting + 1,
+                    change=float(change[begin, lasting]),
+                )
             )
-            continue
-        for rotor in range(evidence.rotors):
-            own = onsets.log_odds[:, rotor]
-            begin = int(np.argmax(own))
-            found.append(_cause(evidence, kind, rotor, own, begin, None, onsets.change[begin, rotor], kinds))
     return found
-
-
-def _cause(
-    evidence: Evidence,
-    kind: str,
-    rotor: int | None,
-    odds: Array,
-    begin: int,
-    end: int | None,
-    change: float,
-    kinds: int,
-) -> Cause:
-    return Cause(
-        work=evidence.work,
-        evidence=evidence,
-        kind=kind,
-        rotor=rotor,
-        log_odds=float(np.logaddexp.reduce(odds.ravel()) - np.log(kinds)),
-        begin=begin,
-        end=end,
-        change=float(change),
-    )
 
 
 def _onsets(evidence: Evidence, kind: str, share: float) -> Onsets:

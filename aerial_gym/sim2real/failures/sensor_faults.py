@@ -5,13 +5,13 @@ seconds of the flight. Letters: T rows.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.position_jumps import HALF_S, Offset, PositionJump, integral, largest_jump
-from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.recording import FlightLog, part_of
 from aerial_gym.sim2real.logs.repeated_samples import (
     LONGEST_FROZEN_S,
     frozen_sensors,
@@ -85,7 +85,7 @@ class SensorWatch:
 
     def _dropouts(self, log: FlightLog) -> Iterator[SensorFault]:
         """Yield the sensors that have stopped since the last look; those that came back are watched again."""
-        last = _since(log, float(log.time[-1]) - 4.0 * LONGEST_FROZEN_S)
+        last = part_of(log, log.time >= float(log.time[-1]) - 4.0 * LONGEST_FROZEN_S)
         frozen = {one.name for one in frozen_sensors(last) if last.time[one.row] + one.seconds >= last.time[-1]}
         stopped = dict[str, float]()
         for name, row in unchanged_since(log).items():
@@ -101,7 +101,7 @@ class SensorWatch:
 
     def _jumps_in(self, log: FlightLog) -> Iterator[SensorFault]:
         """Yield the jump that is new since the last look, once all rows that it is compared with have come."""
-        log = _since(log, self._since)
+        log = part_of(log, log.time >= self._since)
         if log.position is None or log.lin_vel is None or log.time.size < 2:
             return
         try:
@@ -119,10 +119,7 @@ class SensorWatch:
         time = float(log.time[found.first])
         self._jumps = [(at, jump) for at, jump in self._jumps if at >= log.time[0]] + [(time, found)]
         self._offset = self._offset.and_then(found)
-        size, std = (
-            dict(zip("xyz", found.size.tolist(), strict=True)),
-            dict(zip("xyz", found.std.tolist(), strict=True)),
-        )
+        size, std = (dict(zip("xyz", values.tolist(), strict=True)) for values in (found.size, found.std))
         yield SensorFault(
             flight=self._flight,
             name="position_jump",
@@ -131,10 +128,3 @@ class SensorWatch:
             std=std,
             interval={axis: (size[axis] - 1.96 * std[axis], size[axis] + 1.96 * std[axis]) for axis in "xyz"},
         )
-
-
-def _since(log: FlightLog, time: float) -> FlightLog:
-    """Return the rows of a log from a time on [s]."""
-    kept = log.time >= time
-    rows = {name: values[kept] for name, values in vars(log).items() if isinstance(values, np.ndarray)}
-    return replace(log, **rows)

@@ -32,7 +32,12 @@ def lift(robot: RobotCfg, speed: Array) -> Array:
     return np.linalg.norm(thrusts(robot, speed) @ (axes / np.linalg.norm(axes, axis=1, keepdims=True)), axis=1)
 
 
+def mean_lag(robot: RobotCfg) -> float:
+    """Return the mean of the declared time constants up and down [s]."""
+    return 0.5 * sum(declared_lag(robot))
+
+
 def followed(robot: RobotCfg, command: Array, rate: float) -> Array:
     """Return what the declared lag makes of commands (T, R) at a rate [Hz]: rotors that are cut carry on for a while."""
-    kept = float(np.exp(-1.0 / (rate * 0.5 * sum(declared_lag(robot)))))
+    kept = float(np.exp(-1.0 / (rate * mean_lag(robot))))
     return lagged(command, kept, command[0])

@@ -20,14 +20,15 @@ from aerial_gym.sim2real.logs.checks.copies import SeenLogs
 from aerial_gym.sim2real.logs.checks.rotor_law import check_rotor_law
 from aerial_gym.sim2real.logs.checks.rotor_order import check_order
 from aerial_gym.sim2real.logs.checks.rotors import without_copied_commands
-from aerial_gym.sim2real.logs.clock_offset import shift_rotor_log
+from aerial_gym.sim2real.logs.clock_offset import commands_share_clock, shift_rotor_log
+from aerial_gym.sim2real.logs.declared_rotors import mean_lag
 from aerial_gym.sim2real.logs.on_ground import rows_on_ground
 from aerial_gym.sim2real.logs.position_jumps import mend_position_jumps
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 from aerial_gym.sim2real.logs.recording import FlightLog, Recording, rate_of
 from aerial_gym.sim2real.logs.repeated_samples import mend_repeated_samples
-from aerial_gym.sim2real.logs.rotor_clock import check_rotor_clock, clock_offsets, commands_move
+from aerial_gym.sim2real.logs.rotor_clock import check_rotor_clock, clock_offsets
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass, uniform_log, without_gaps
 
 FEWEST_HIGH = 10
@@ -113,7 +114,7 @@ def load_flights(
     first = {Path(path).resolve() for path in paths[:learning]}
     logs, learned = [log for log, _ in read.values()], sum(real in first for real in read)
     offsets = clock_offsets(logs, robot, bandwidth, learned)
-    together = commands_move(logs[:learned], offsets[:learned], robot)
+    together = commands_share_clock(logs[:learned], offsets[:learned], mean_lag(robot))
     flights: list[Flight] = []
     for (real, (log, notes)), offset in zip(read.items(), offsets, strict=True):
         with _left_out(refused):

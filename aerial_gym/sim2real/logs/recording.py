@@ -6,10 +6,11 @@ Letters: T rows, R rotors.
 
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
-from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.arrays import Array, Flags
 
 HEADER_LINES = 1
 """Of a file, before its first row."""
@@ -100,8 +101,11 @@ class FlightLog(Recording):
         return f"{self.path}, line {row + 1 + HEADER_LINES} (t = {self.time[row]:.6g} s)"
 
 
-def part_of(log: FlightLog, rows: slice) -> FlightLog:
-    """Return some rows of a log."""
+Some = TypeVar("Some", bound=Recording)
+
+
+def part_of(log: Some, rows: slice | Flags) -> Some:
+    """Return some rows of a log, or of a flight."""
     arrays = {f.name: value[rows] for f in fields(log) if isinstance(value := getattr(log, f.name), np.ndarray)}
     return replace(log, **arrays)
 

@@ -12,14 +12,12 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
 from aerial_gym.physics import vehicle_from_config
-from aerial_gym.physics.effects.one_rotor import declared_lag
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.clock_offset import (
     LARGEST_SHIFT_S,
     ClockOffset,
     OffsetCurve,
-    commands_share_clock,
     common_offsets,
     offset_curve,
 )
@@ -98,11 +96,6 @@ def _curve_of(waves: Array, rate: float, bandwidth: float, largest: float, strid
     if stride > 1:
         waves, rate = lowpass(waves, rate, 2.0 * band)[::stride], rate / stride
     return offset_curve(waves[:, 0], waves[:, 1], waves[:, 2:], rate, band, largest=largest)
-
-
-def commands_move(logs: Sequence[FlightLog], offsets: Sequence[ClockOffset], robot: RobotCfg) -> bool:
-    """Return whether the commands of some logs share the clock of their rotor speeds, and move with them."""
-    return commands_share_clock(logs, offsets, 0.5 * sum(declared_lag(robot)))
 
 
 def check_rotor_clock(log: FlightLog, robot: RobotCfg, bandwidth: float) -> None:
