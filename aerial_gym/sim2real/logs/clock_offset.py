@@ -10,7 +10,7 @@ import numpy as np
 
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.recording import FlightLog, part_of
-from aerial_gym.sim2real.logs.signals import edge_rows, lagged, lowpass
+from aerial_gym.sim2real.logs.signals import edge_rows, interpolated, lagged, lowpass
 
 LATE_S = 0.003
 """By how much what is logged is late, each sensor by itself [s], a standard deviation: filters and telemetry take some
@@ -213,7 +213,7 @@ def shift_rotor_log(log: FlightLog, offset: ClockOffset, *, commands: bool = Tru
     for name in ("rotor_speed", "rotor_command")[: 1 + commands]:
         values = getattr(log, name)
         if values is not None:
-            moved[name] = np.stack([np.interp(rows[kept] - offset.rows, rows, column) for column in values.T], axis=1)
+            moved[name] = interpolated(rows[kept] - offset.rows, rows, values)
     step = 1e3 * float(np.median(np.diff(log.time)))
     other = "" if commands else "; commands do not and stay"
     ahead = f"{offset.rows * step:.3g} ± {1.96 * offset.std * step:.2g} ms"

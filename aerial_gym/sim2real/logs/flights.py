@@ -12,7 +12,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.logs.checks.conventions import body_rate_of, check_log, check_quaternion_norm, check_time
@@ -26,7 +25,7 @@ from aerial_gym.sim2real.logs.on_ground import rows_on_ground
 from aerial_gym.sim2real.logs.position_jumps import mend_position_jumps
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
-from aerial_gym.sim2real.logs.recording import FlightLog, Recording, rate_of
+from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, Recording, rate_of
 from aerial_gym.sim2real.logs.repeated_samples import mend_repeated_samples
 from aerial_gym.sim2real.logs.rotor_clock import check_rotor_clock, clock_offsets
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass, uniform_log, without_gaps
@@ -210,7 +209,7 @@ def complete_flight(log: FlightLog, notes: Sequence[str] = (), *, on_ground: Fla
     if log.lin_vel is None:
         said.append("neither velocity nor position: drag is predicted as if the vehicle stood still")
     elif specific_force is None:
-        acceleration = lowpass(log.lin_vel, rate, band, derivative=True) + np.array([0.0, 0.0, STANDARD_GRAVITY])
+        acceleration = lowpass(log.lin_vel, rate, band, derivative=True) + AT_REST
         specific_force = Rotation.from_quat(log.attitude).apply(acceleration, inverse=True)
         said.append("specific force derived from velocity")
     if ang_vel is None:

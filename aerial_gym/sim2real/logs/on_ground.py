@@ -11,7 +11,7 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.logs.declared_rotors import followed, lift
-from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
+from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, rate_of
 
 SMOOTH_S = 0.05
 """Signals are smoothed by a bell of this width [s], which does not ring at a touch: noise is no motion."""
@@ -78,7 +78,7 @@ def _felt(log: FlightLog, width: float) -> Array | None:
     if log.lin_vel is None:
         return None
     change = rate_of(log) * ndimage.gaussian_filter1d(log.lin_vel, width, axis=0, order=1)
-    return np.linalg.norm(change + np.array([0.0, 0.0, STANDARD_GRAVITY]), axis=1)
+    return np.linalg.norm(change + AT_REST, axis=1)
 
 
 def _at_height_of(stands: Flags, height: Array, reach: float) -> Flags:

@@ -10,7 +10,11 @@ from typing import TypeVar
 
 import numpy as np
 
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.sim2real.arrays import Array, Flags
+
+AT_REST = np.array((0.0, 0.0, STANDARD_GRAVITY))
+"""What an accelerometer at rest reads, along world axes [m/s²], (3,)."""
 
 HEADER_LINES = 1
 """Of a file, before its first row."""
@@ -106,8 +110,12 @@ Some = TypeVar("Some", bound=Recording)
 
 def part_of(log: Some, rows: slice | Flags) -> Some:
     """Return some rows of a log, or of a flight."""
-    arrays = {f.name: value[rows] for f in fields(log) if isinstance(value := getattr(log, f.name), np.ndarray)}
-    return replace(log, **arrays)
+    return replace(log, **{name: values[rows] for name, values in arrays_of(log).items()})
+
+
+def arrays_of(log: Recording) -> dict[str, Array]:
+    """Return what has a value in every row, by name, (T, any)."""
+    return {f.name: value for f in fields(log) if isinstance(value := getattr(log, f.name), np.ndarray)}
 
 
 def rate_of(log: FlightLog) -> float:

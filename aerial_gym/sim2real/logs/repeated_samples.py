@@ -11,6 +11,7 @@ import numpy as np
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
+from aerial_gym.sim2real.logs.signals import interpolated, signs_of
 
 SENSORS = ("position", "attitude", "lin_vel", "ang_vel", "specific_force")
 """What never stands still in flight. Rotor speeds and voltages may: they are measured in coarse steps."""
@@ -84,17 +85,15 @@ def mend_repeated_samples(log: FlightLog) -> FlightLog:
         DataError: If a sensor was frozen for long, or most of the rows repeat the one before.
     """
     moving = _moving(log)
-    whole = find_repeated_samples(np.concatenate([_values(log, name) for name in SENSORS], axis=1), moving)
+    sensors = _sensors(log)
+    whole = find_repeated_samples(np.concatenate(list(sensors.values()), axis=1), moving)
     if whole.share > MOST_ROWS:
         raise DataError(
             f"{log.path}: {whole.share:.0%} of the rows repeat the one before; write each sample once, at its own t"
         )
     changes: dict[str, object] = {}
     notes = []
-    for name in SENSORS:
-        values = _values(log, name)
-        if values.shape[1] == 0:
-            continue
+    for name, values in sensors.items():
         repeats = find_repeated_samples(values, moving)
         frozen = _longest_frozen(log, name, repeats)
         if frozen.seconds > LONGEST_FROZEN_S:
@@ -103,9 +102,7 @@ def mend_repeated_samples(log: FlightLog) -> FlightLog:
                 "the sensor was frozen, cut the log there, or leave that sensor out"
             )
         if repeats.share > 0.0:
-            changes[name] = np.stack(
-                [np.interp(log.time, log.time[repeats.fresh], v[repeats.fresh]) for v in values.T], 1
-            )
+            changes[name] = interpolated(log.time, log.time[repeats.fresh], values[repeats.fresh])
         if repeats.share > LEAST_SHARE:
             notes.append(_sentence(log, name, repeats))
     return replace(log, **changes, notes=(*log.notes, *notes))
@@ -120,32 +117,26 @@ def _moving(log: FlightLog) -> Flags:
     return moving
 
 
-def _values(log: FlightLog, name: str) -> Array:
-    """Return a sensor's rows, (T, any); no columns if the log lacks it. Quaternions without jumps of sign."""
-    values = getattr(log, name)
-    if values is None:
-        return np.empty((log.time.size, 0))
-    if name != "attitude":
-        return values
-    turned = np.cumprod(np.where((values[1:] * values[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))
-    return values * np.concatenate(([1.0], turned))[:, None]
+def _sensors(log: FlightLog) -> dict[str, Array]:
+    """Return the rows of each sensor that the log has, (T, any) by name; quaternions without jumps of sign."""
+    found = {name: getattr(log, name) for name in SENSORS if getattr(log, name) is not None}
+    return found | {"attitude": log.attitude * signs_of(log.attitude)[:, None]}
 
 
 def frozen_sensors(log: FlightLog) -> list[FrozenSensor]:
     """Return the sensors that repeat one value for longer than ``LONGEST_FROZEN_S`` while the vehicle moves."""
     moving = _moving(log)
-    there = [(name, values) for name in SENSORS if (values := _values(log, name)).shape[1]]
-    found = [_longest_frozen(log, name, find_repeated_samples(values, moving)) for name, values in there]
+    sensors = _sensors(log).items()
+    found = [_longest_frozen(log, name, find_repeated_samples(values, moving)) for name, values in sensors]
     return [frozen for frozen in found if frozen.seconds > LONGEST_FROZEN_S]
 
 
 def unchanged_since(log: FlightLog) -> dict[str, int]:
     """Return of each sensor the row from which on it has the value of the last one, whether the vehicle moves or not."""
     found = dict[str, int]()
-    for name in SENSORS:
-        if (values := _values(log, name)).shape[1]:
-            changes = np.flatnonzero(np.any(values[1:] != values[:-1], axis=1))
-            found[name] = int(changes[-1]) + 1 if changes.size else 0
+    for name, values in _sensors(log).items():
+        changes = np.flatnonzero(np.any(values[1:] != values[:-1], axis=1))
+        found[name] = int(changes[-1]) + 1 if changes.size else 0
     return found
 
 

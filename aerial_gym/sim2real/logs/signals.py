@@ -13,7 +13,7 @@ from scipy import fft
 from aerial_gym.errors import DataError
 from aerial_gym.math.decay import decaying_sum
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.logs.recording import FlightLog, part_of
+from aerial_gym.sim2real.logs.recording import FlightLog, arrays_of, part_of
 
 FILTER_ORDER = 4
 """Order of the Butterworth low-pass that is run forwards and backwards."""
@@ -143,8 +143,18 @@ def edge_rows(rate: float, bandwidth: float) -> int:
 def continuous_quaternion(attitude: Array) -> Array:
     """Return unit quaternions (T, 4) of the same attitudes without jumps of sign from row to row."""
     unit = attitude / np.linalg.norm(attitude, axis=1, keepdims=True)
-    flips = np.cumprod(np.where((unit[1:] * unit[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))
-    return unit * np.concatenate(([1.0], flips))[:, None]
+    return unit * signs_of(unit)[:, None]
+
+
+def signs_of(attitude: Array) -> Array:
+    """Return +1 or -1 per row, (T,), that takes the jumps of sign out of quaternions (T, 4)."""
+    flips = np.where((attitude[1:] * attitude[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
+    return np.concatenate(([1.0], np.cumprod(flips)))
+
+
+def interpolated(at: Array, time: Array, values: Array) -> Array:
+    """Return columns (T, K) at other times, in straight lines between rows."""
+    return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
 
 
 def without_gaps(log: FlightLog) -> FlightLog:
@@ -179,29 +189,15 @@ def uniform_log(log: FlightLog) -> FlightLog:
         return replace(log, attitude=attitude)
     count = int((log.time[-1] - log.time[0]) / step) + 1
     time = log.time[0] + step * np.arange(count)
-
-    def line(values: Array | None) -> Array | None:
-        if values is None:
-            return None
-        return np.stack([np.interp(time, log.time, column) for column in values.T], axis=1)
-
-    before = np.clip(np.searchsorted(log.time, time, side="right") - 1, 0, None)
-    moved = line(attitude)
-    assert moved is not None
-    return replace(
-        log,
-        time=time,
-        attitude=continuous_quaternion(moved),
-        position=line(log.position),
-        lin_vel=line(log.lin_vel),
-        ang_vel=line(log.ang_vel),
-        specific_force=line(log.specific_force),
-        rotor_speed=line(log.rotor_speed),
-        rotor_command=None if log.rotor_command is None else log.rotor_command[before],
-        battery=None if log.battery is None else np.interp(time, log.time, log.battery),
-        other_position=line(log.other_position),
-        notes=(*log.notes, f"unequal time steps ({steps.min():.3g} to {steps.max():.3g} s) resampled to {step:.3g} s"),
-    )
+    columns = {name: values for name, values in arrays_of(log).items() if values.ndim == 2} | {"attitude": attitude}
+    moved = {name: interpolated(time, log.time, values) for name, values in columns.items()}
+    moved["attitude"] = continuous_quaternion(moved["attitude"])
+    if log.rotor_command is not None:
+        moved["rotor_command"] = log.rotor_command[np.clip(np.searchsorted(log.time, time, "right") - 1, 0, None)]
+    if log.battery is not None:
+        moved["battery"] = np.interp(time, log.time, log.battery)
+    note = f"unequal time steps ({steps.min():.3g} to {steps.max():.3g} s) resampled to {step:.3g} s"
+    return replace(log, **moved, time=time, notes=(*log.notes, note))
 
 
 def _without_loose_ends(log: FlightLog) -> FlightLog:

@@ -21,6 +21,7 @@ from aerial_gym.physics.rotors import state_for_thrust
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.checks.conventions import body_rate_of
 from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.recording import AT_REST
 from aerial_gym.sim2real.logs.signals import continuous_quaternion, lowpass
 
 Path = Callable[[Array], tuple[Array, Array]]
@@ -105,7 +106,7 @@ def fly(name: str, robot: RobotCfg, like: Flight, *, rate: float) -> Flight | No
     time = np.arange(-LEAD_S, SPAN_S + LEAD_S, 1.0 / rate)
     position, heading = MANOEUVRES[name](time)
     velocity = _derivative(position, rate)
-    force = _derivative(velocity, rate) + np.array([0.0, 0.0, STANDARD_GRAVITY])
+    force = _derivative(velocity, rate) + AT_REST
     attitude = continuous_quaternion(_attitude(force, heading).as_quat())
     ang_vel = body_rate_of(attitude, rate, BAND_HZ)
     thrust = _thrusts(robot, np.linalg.norm(force, axis=1), ang_vel, rate)

@@ -17,7 +17,7 @@ from aerial_gym.sim2real.logs.checks.kinematics import CHECK_BANDWIDTH_HZ, kinem
 from aerial_gym.sim2real.logs.checks.rotors import check_rotors
 from aerial_gym.sim2real.logs.checks.units import check_growth, check_units
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
-from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
+from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, rate_of
 from aerial_gym.sim2real.logs.signals import lowpass
 
 SHORTEST_S = 2.0
@@ -93,13 +93,15 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(np.square(values), axis=-1))))
 
 
-def _inner(values: Array, log: FlightLog) -> Array:
+def _inner(log: FlightLog) -> slice:
+    """Return the rows that are compared: without half a second at either end."""
     edge = round(0.5 * rate_of(log))
-    return values[edge:-edge]
+    return slice(edge, -edge)
 
 
 def _slow(values: Array, log: FlightLog, *, derivative: bool = False) -> Array:
-    return lowpass(values, rate_of(log), CHECK_BANDWIDTH_HZ, derivative=derivative)
+    """Return a signal, or its derivative, in the band and the rows that are compared."""
+    return lowpass(values, rate_of(log), CHECK_BANDWIDTH_HZ, derivative=derivative)[_inner(log)]
 
 
 def body_rate_of(attitude: Array, rate: float, bandwidth: float) -> Array:
@@ -129,13 +131,13 @@ def _check_attitude_against_rate(log: FlightLog, attitude: Rotation) -> None:
     """Compare the derivative of the attitude with the gyro."""
     if log.ang_vel is None:
         return
-    measured = _inner(_slow(log.ang_vel, log), log)
+    measured = _slow(log.ang_vel, log)
     size = _rms(measured)
     if size < QUIET_RATE:
         return
 
     def differs(quaternion: Array) -> tuple[float, Array]:
-        rate = _inner(body_rate_of(quaternion, rate_of(log), CHECK_BANDWIDTH_HZ), log)
+        rate = body_rate_of(quaternion, rate_of(log), CHECK_BANDWIDTH_HZ)[_inner(log)]
         return _rms(rate - measured) / max(size, _rms(rate)), rate
 
     miss, rate = differs(log.attitude)
@@ -146,7 +148,7 @@ def _check_attitude_against_rate(log: FlightLog, attitude: Rotation) -> None:
     degrees = UNITS["deg/s"]
     if _rms(rate - degrees * measured) < 0.5 * _rms(rate) and abs(slope / degrees - 1.0) < 0.5:
         others["omega is in degrees per second"] = 0.0
-    others["omega is in world axes"] = _rms(_inner(attitude.apply(_full(rate, log)), log) - measured) / size
+    others["omega is in world axes"] = _rms(attitude[_inner(log)].apply(rate) - measured) / size
     others["omega is in axes x forward, y right, z down"] = _rms(rate * (1.0, -1.0, -1.0) - measured) / size
     best = min(others, key=lambda text: others[text])
     guess = f"it looks as if {best}" if others[best] < 0.6 * miss else "check order, direction, axes and units of both"
@@ -154,12 +156,6 @@ def _check_attitude_against_rate(log: FlightLog, attitude: Rotation) -> None:
         f"{log.path}: attitude (q_x, q_y, q_z, q_w) and omega contradict each other by {miss:.0%} of their size; "
         f"{guess}; correct the columns or say so in a mapping file"
     )
-
-
-def _full(inner: Array, log: FlightLog) -> Array:
-    """Return ``inner`` with zeros for the rows that ``_inner`` removed."""
-    edge = round(0.5 * rate_of(log))
-    return np.pad(inner, ((edge, edge), (0, 0)))
 
 
 def _check_gravity(log: FlightLog, attitude: Rotation) -> None:
@@ -202,8 +198,8 @@ def _upside_down(log: FlightLog, attitude: Rotation) -> str:
     if log.lin_vel is None:
         return f"if its signs are turned, turn them; if body and world axes have z down, {both}"
     assert log.specific_force is not None
-    motion = _inner(_slow(log.lin_vel, log, derivative=True), log)
-    felt = _inner(_slow(attitude.apply(log.specific_force), log), log) + np.array([0.0, 0.0, STANDARD_GRAVITY])
+    motion = _slow(log.lin_vel, log, derivative=True)
+    felt = _slow(attitude.apply(log.specific_force), log) + AT_REST
     return f"body and world axes have z down: {both}" if np.sum(felt * motion) > 0.0 else "turn the signs of acc"
 
 
@@ -211,12 +207,12 @@ def _check_velocity(log: FlightLog, attitude: Rotation) -> None:
     """Compare velocity with the derivative of position."""
     if log.lin_vel is None or log.position is None:
         return
-    velocity = _inner(_slow(log.lin_vel, log), log)
-    derived = _inner(_slow(log.position, log, derivative=True), log)
+    velocity = _slow(log.lin_vel, log)
+    derived = _slow(log.position, log, derivative=True)
     size = max(_rms(velocity), _rms(derived))
     if size < QUIET_SPEED or (miss := _rms(velocity - derived) / size) < WORST_AGREEMENT:
         return
-    turned = _inner(_slow(attitude.apply(log.lin_vel), log), log)
+    turned = _slow(attitude.apply(log.lin_vel), log)
     guess = "check units and axes of both"
     if _rms(turned - derived) < 0.5 * miss * size:
         guess = "it looks as if v is in body axes: turn it into world axes"
@@ -233,14 +229,14 @@ def _check_force_frame(log: FlightLog, attitude: Rotation) -> None:
     """
     if log.specific_force is None:
         return
-    as_body = _inner(_slow(attitude.apply(log.specific_force), log), log)
-    as_world = _inner(_slow(log.specific_force, log), log)
+    as_body = _slow(attitude.apply(log.specific_force), log)
+    as_world = _slow(log.specific_force, log)
     if log.lin_vel is None and log.position is None:
-        across = _inner(_slow(attitude.inv().apply(log.specific_force), log), log)
+        across = _slow(attitude.inv().apply(log.specific_force), log)
         turned = _rms(as_world[:, :2]) > LEAST_ACROSS and _rms(across[:, :2]) < 0.3 * _rms(as_world[:, :2])
         motion = "thrust"
     else:
-        world = _motion(log) + np.array([0.0, 0.0, STANDARD_GRAVITY])
+        world = _motion(log) + AT_REST
         turned = _rms(as_body - as_world) > 0.5 and _rms(as_world - world) < 0.4 * _rms(as_body - world)
         motion = "the motion"
     if turned:
@@ -249,7 +245,7 @@ def _check_force_frame(log: FlightLog, attitude: Rotation) -> None:
             "turn it into body axes with the inverse of the attitude"
         )
     if log.lin_vel is not None or log.position is not None:
-        _check_motion_frame(log, attitude, as_body - np.array([0.0, 0.0, STANDARD_GRAVITY]))
+        _check_motion_frame(log, attitude, as_body - AT_REST)
 
 
 def _motion(log: FlightLog, velocity: Array | None = None) -> Array:
@@ -258,8 +254,8 @@ def _motion(log: FlightLog, velocity: Array | None = None) -> Array:
         velocity = log.lin_vel
     if velocity is None:
         assert log.position is not None
-        velocity = _slow(log.position, log, derivative=True)
-    return _inner(_slow(velocity, log, derivative=True), log)
+        velocity = lowpass(log.position, rate_of(log), CHECK_BANDWIDTH_HZ, derivative=True)
+    return _slow(velocity, log, derivative=True)
 
 
 def _check_motion_frame(log: FlightLog, attitude: Rotation, felt: Array) -> None:

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
+from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, rate_of
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
 from aerial_gym.sim2real.statistics import student_quantile
 
@@ -87,12 +86,9 @@ def kinematic_errors(log: FlightLog) -> list[ImuErrors]:
     if log.ang_vel is not None:
         found.append(_fit_errors("gyro", log.ang_vel, attitude_rate(log.attitude, rate), np.zeros(3), rate))
     if log.specific_force is not None and log.lin_vel is not None:
-        change = lowpass(log.lin_vel, rate, 2.0 * CHECK_BANDWIDTH_HZ, derivative=True) + np.array(
-            [0.0, 0.0, STANDARD_GRAVITY]
-        )
-        motion = Rotation.from_quat(log.attitude).apply(change, inverse=True)
-        level = np.array([0.0, 0.0, STANDARD_GRAVITY])
-        found.append(_fit_errors("accelerometer", log.specific_force, motion, level, rate))
+        change = lowpass(log.lin_vel, rate, 2.0 * CHECK_BANDWIDTH_HZ, derivative=True)
+        motion = Rotation.from_quat(log.attitude).apply(change + AT_REST, inverse=True)
+        found.append(_fit_errors("accelerometer", log.specific_force, motion, AT_REST, rate))
     return [errors for errors in found if errors is not None]
 
 

@@ -13,11 +13,10 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
-from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
-from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
+from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, rate_of
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass
 from aerial_gym.sim2real.statistics import normal_above, student_quantile
 
@@ -186,7 +185,7 @@ def _by_accelerometer(log: FlightLog, letter: str) -> Relation | None:
         return None
     if letter == "p":
         values = lowpass(values, rate_of(log), min(DERIVED_HZ, DERIVED_BAND * rate_of(log)), derivative=True)
-    felt = Rotation.from_quat(log.attitude).apply(log.specific_force) - (0.0, 0.0, STANDARD_GRAVITY)
+    felt = Rotation.from_quat(log.attitude).apply(log.specific_force) - AT_REST
     return relate(_steps(log, values), _sums(log, felt))
 
 

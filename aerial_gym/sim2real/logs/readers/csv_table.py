@@ -101,10 +101,7 @@ def without_copies(table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
 def time_of(table: pd.DataFrame, layout: LogMapping, path: str) -> Array:
     """Return the time [s]; refuse a missing column and time that stands still or runs back."""
     column = layout.time.columns[0]
-    if column not in table.columns:
-        raise DataError(not_there(column, list(table.columns), path))
-    strict = ColumnsCfg(columns=(column,))
-    time = numbers_in(table, [column], strict, np.zeros(len(table)), path, [])[:, 0] * UNITS[layout.time.unit]
+    time = column_in(table, column, path) * UNITS[layout.time.unit]
     back = np.flatnonzero(np.diff(time) <= 0.0)
     if back.size * FEW_DIGITS > time.size and np.all(np.diff(time) >= 0.0):
         raise DataError(
@@ -118,6 +115,13 @@ def time_of(table: pd.DataFrame, layout: LogMapping, path: str) -> Array:
             f"(row before: {time[row - 1]:.6g} s); sort the rows and remove repeated ones"
         )
     return time
+
+
+def column_in(table: pd.DataFrame, column: str, path: str) -> Array:
+    """Return a column (T,) that must be there, and without a gap."""
+    if column not in table.columns:
+        raise DataError(not_there(column, list(table.columns), path))
+    return numbers_in(table, [column], ColumnsCfg(columns=(column,)), np.zeros(len(table)), path, [])[:, 0]
 
 
 def numbers_in(

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.readers.csv_table import (
+    column_in,
     columns_of,
     mapping_hint,
     not_there,
@@ -65,7 +66,7 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
         if columns:
             gaps, held = name == "other_position", name == "rotor_command"
             raw = numbers_in(table, columns, quantity, time, str(path), notes, gaps=gaps, held=held)
-            values[name] = _converted(raw, table, quantity, time, str(path)) * UNITS[quantity.unit]
+            values[name] = _converted(raw, table, quantity, str(path)) * UNITS[quantity.unit]
             if np.nanmax(np.abs(values[name]), initial=0.0) > LARGEST:
                 raise DataError(
                     f"{path}: {columns[0]} to {columns[-1]} reach {np.nanmax(np.abs(values[name])):.3g} in SI units, at most "
@@ -109,7 +110,7 @@ def _height(values: Array, layout: LogMapping, name: str, path: str) -> float:
     return float(values[0, 0]) * (-1.0 if layout.world_frame == "ned" else 1.0)
 
 
-def _converted(raw: Array, table: pd.DataFrame, quantity: ColumnsCfg, time: Array, path: str) -> Array:
+def _converted(raw: Array, table: pd.DataFrame, quantity: ColumnsCfg, path: str) -> Array:
     """Return ``offset + gain (raw times / over)^power``, 0 where raw is 0, once per rotor, (T, columns)."""
     if quantity.plain:
         return raw
@@ -117,13 +118,11 @@ def _converted(raw: Array, table: pd.DataFrame, quantity: ColumnsCfg, time: Arra
     for column, power in ((quantity.times, 1.0), (quantity.over, -1.0)):
         if column is None:
             continue
-        if column not in table.columns:
-            raise DataError(not_there(column, list(table.columns), path))
-        other = numbers_in(table, [column], ColumnsCfg(columns=(column,)), time, path, [])
+        other = column_in(table, column, path)
         if np.any(other <= 0.0):
-            row = int(np.argmax(other[:, 0] <= 0.0))
-            raise DataError(f"{path}, line {row + 1 + HEADER_LINES}: {column} = {other[row, 0]:g}, must be > 0")
-        values = values * other**power
+            row = int(np.argmax(other <= 0.0))
+            raise DataError(f"{path}, line {row + 1 + HEADER_LINES}: {column} = {other[row]:g}, must be > 0")
+        values = values * other[:, None] ** power
     if quantity.power != 1.0 and np.any(values < 0.0):
         raise DataError(f"{path}: {quantity.columns[0]} is negative and cannot be raised to {quantity.power:g}")
     values = np.where(raw == 0.0, 0.0, quantity.offset + quantity.gain * values**quantity.power)

@@ -15,6 +15,7 @@ import pandas as pd
 
 from aerial_gym.errors import DataError, MissingDependencyError
 from aerial_gym.sim2real.arrays import Array, Flags
+from aerial_gym.sim2real.logs.signals import signs_of
 
 Topics = Mapping[str, Mapping[str, Array]]
 
@@ -97,9 +98,8 @@ def _series(topics: Topics, name: str, path: str) -> tuple[Array, dict[str, Arra
     wanted = dict(TOPICS[name])
     if name == "sensor_combined" and "vehicle_angular_velocity" not in topics:
         wanted |= GYRO
-    stamp = (
-        np.asarray(topic["timestamp_sample" if "timestamp_sample" in topic else "timestamp"], dtype=np.float64) * 1e-6
-    )
+    clock = "timestamp_sample" if "timestamp_sample" in topic else "timestamp"
+    stamp = np.asarray(topic[clock], dtype=np.float64) * 1e-6
     values = {label: np.asarray(topic[key], dtype=np.float64) for key, label in wanted.items() if key in topic}
     values = {label: column for label, column in values.items() if np.isfinite(column).any()}
     if name in ("esc_status", "actuator_outputs"):  # unused entries are 0 in every row
@@ -111,16 +111,9 @@ def _series(topics: Topics, name: str, path: str) -> tuple[Array, dict[str, Arra
     if good.sum() < 2:
         raise DataError(f"{path}: topic {name} has {good.sum()} usable rows, needs 2")
     if name == "vehicle_attitude":
-        values = {
-            label: column * sign for (label, column), sign in zip(values.items(), [_signs(values)] * 4, strict=True)
-        }
+        signs = signs_of(np.stack([values[f"q_{axis}"] for axis in "wxyz"], axis=1))
+        values = {label: column * signs for label, column in values.items()}
     return stamp[good], {label: column[good] for label, column in values.items()}
-
-
-def _signs(values: Mapping[str, Array]) -> Array:
-    """Return +1 or -1 per row, (T,), that takes the jumps of sign out of a quaternion."""
-    table = np.stack([values[f"q_{axis}"] for axis in "wxyz"], axis=1)
-    return np.concatenate(([1.0], np.cumprod(np.where((table[1:] * table[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))))
 
 
 def _on_clock(rows: Array, time: Array, values: Array, step: float, *, held: bool) -> Array:

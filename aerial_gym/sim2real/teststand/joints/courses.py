@@ -26,7 +26,7 @@ from aerial_gym.physics.rotor_lag import follow_command
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.recording import FlightLog
-from aerial_gym.sim2real.logs.signals import edge_rows, lowpass, uniform_log
+from aerial_gym.sim2real.logs.signals import edge_rows, interpolated, lowpass, uniform_log
 
 SLOW = 0.05
 """Share of its rms below which a rate counts less for dry friction: v."""
@@ -71,8 +71,7 @@ def read_course(path: Path, robot: RobotCfg, *, bandwidth: float) -> Course:
     time, angles = np.asarray(table["t"], dtype=float), np.asarray(table[columns], dtype=float)
     if not np.isfinite(angles).all():
         raise DataError(f"{path}: angles of joints hold empty fields or no numbers; cut the log, or fill them")
-    angle = np.stack([np.interp(log.time, time, column) for column in angles.T], axis=1)
-    return course_of(robot, log, angle, bandwidth=bandwidth)
+    return course_of(robot, log, interpolated(log.time, time, angles), bandwidth=bandwidth)
 
 
 def course_of(robot: RobotCfg, log: FlightLog, angle: Array, *, bandwidth: float) -> Course:
