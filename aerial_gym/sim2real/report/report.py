@@ -19,15 +19,15 @@ from aerial_gym.sim2real.report.tables import (
     became_rows,
     channel_rows,
     flight_table,
+    interval,
     named_rows,
     number,
     parameter_rows,
+    percent,
     reason_rows,
-    regime_rows,
-    rival_rows,
+    risen,
     rollout_rows,
     unnamed_rows,
-    worth_rows,
 )
 
 SHOWN_RIVALS = 3
@@ -64,7 +64,7 @@ def render(name: str, context: dict[str, object]) -> str:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters["num"] = number
+    environment.filters |= {"num": number, "interval": interval, "percent": percent, "risen": risen}
     return environment.get_template(f"{name}.j2").render(context)
 
 
@@ -80,9 +80,7 @@ def report_context(judged: Judged, told: Mapping[str, list[Clue]], found: Sequen
         "test": [flight.name for flight in judged.declared.test.flights],
         "effects": parameter_rows(judged),
         "channels": channel_rows(verdict.before, after, verdict.outcomes),
-        "worth": worth_rows(verdict),
         "octaves": octave_names(judged.declared.bandwidth),
-        "regimes": regime_rows(verdict),
         "flights": flight_table(verdict, shown_kinds(judged)),
         "sets": list(verdict.sets.items())[:MOST_SETS],
         "least": selection.criteria.material,
@@ -99,7 +97,6 @@ def report_context(judged: Judged, told: Mapping[str, list[Clue]], found: Sequen
             if name in verdict.before.rollout
         ],
         "unnamed": unnamed_rows(selection),
-        "rivals": rival_rows(verdict),
         "criteria": vars(selection.criteria),
         "tolerances": vars(judged.declared.tolerances),
         "figures": figures(judged, told, found),

@@ -64,7 +64,7 @@ def channel_rows(
                 "after": "–" if second is None else text(second),
                 "change": "–" if found is None else risen(found.rise),
                 "became": "–" if found is None else found.state,
-                "closed": "–" if (share := closed[place]) is None else f"{share:.1%}",
+                "closed": percent(closed[place]),
                 "floor": "–" if before.floor is None else number(before.floor[place]),
             }
         )
@@ -164,73 +164,11 @@ def unnamed_rows(selection: Selection) -> list[dict[str, str]]:
     ]
 
 
-def worth_rows(verdict: Verdict) -> list[dict[str, object]]:
-    """Return one row per selected effect: what rises without it."""
-    rows = []
-    for effect in verdict.effects:
-        if (found := effect.ablation) is None:
-            continue
-        channel, rise = found.most
-        rows.append(
-            {
-                "effect": effect.name,
-                "channel": channel,
-                "residual": risen(rise),
-                "rollouts": {
-                    f"{horizon:g} s": {quantity: risen(rise) for quantity, rise in quantities.items()}
-                    for horizon, quantities in found.rollout.items()
-                },
-                "material": {True: "yes", False: "no", None: "not shown"}[found.material],
-                "octaves": [f"{taken:.0%}" for taken in found.octaves],
-                "solid_below": found.solid_below_hz,
-            }
-        )
-    return rows
-
-
 def risen(rise: Rise) -> str:
     """Return a rise with its interval, in per cent, and as a factor where it is large."""
     if max(rise.value, rise.high) > MOST_PERCENT:
         return f"× {number(1.0 + rise.value)} [{number(1.0 + rise.low)}, {number(1.0 + rise.high)}]"
     return f"{rise.value:+.1%} [{rise.low:+.1%}, {rise.high:+.1%}]"
-
-
-def rival_rows(verdict: Verdict) -> dict[str, list[dict[str, str]]]:
-    """Return one row per rival of each accepted effect, best first."""
-    return {
-        effect.name: [
-            {
-                "effect": rival.label,
-                "explains": f"{rival.explains:.1%}",
-                "instead_of": f"{rival.instead_of:.1%}",
-                "channel": rival.channel,
-                "log_odds": f"{rival.log_odds:.1f}",
-                "because": rival.because,
-            }
-            for rival in effect.ablation.rivals
-        ]
-        for effect in verdict.effects
-        if effect.ablation is not None
-    }
-
-
-def regime_rows(verdict: Verdict) -> list[dict[str, object]]:
-    """Return one row per selected effect: before and after where it acts."""
-    found = [(effect.name, effect.regime) for effect in verdict.effects if effect.regime is not None]
-    return [
-        {
-            "effect": name,
-            "channel": regime.channel,
-            "before": f"{interval(regime.before)} {regime.unit}",
-            "after": f"{interval(regime.after)} {regime.unit}",
-            "closed": "–" if regime.gap_closed is None else f"{regime.gap_closed:.1%}",
-            "looks": "; ".join(
-                f"{title} {number(here, 2)}, elsewhere {number(there, 2)}"
-                for title, (here, there) in regime.looks.items()
-            ),
-        }
-        for name, regime in found
-    ]
 
 
 def flight_table(verdict: Verdict, kinds: Collection[str]) -> dict[str, list]:
@@ -263,6 +201,11 @@ def flight_table(verdict: Verdict, kinds: Collection[str]) -> dict[str, list]:
 def number(value: float, digits: int = 3) -> str:
     """Return a number for people: three significant digits."""
     return "–" if not np.isfinite(value) else f"{value:.{digits}g}"
+
+
+def percent(share: float | None, digits: int = 1) -> str:
+    """Return a share in per cent; a dash where there is none."""
+    return "–" if share is None else f"{share:.{digits}%}"
 
 
 def value_alone(rms: Rms) -> str:
