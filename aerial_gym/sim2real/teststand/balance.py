@@ -269,9 +269,7 @@ def _physical(cause: Cause, fit: ScatterFit) -> dict[str, Estimate]:
     slopes = [[v - values[name] for name, v in cause.physical(fit.params + step).items()] for step in steps]
     slope = np.array(slopes).reshape(fit.params.size, len(values)) / 1e-6
     spread = np.sqrt(np.diag(slope.T @ fit.covariance @ slope)) * stats.t.ppf(0.975, fit.freedom)
-    return {
-        n: Estimate(value=v, low=v - s, high=v + s) for (n, v), s in zip(values.items(), spread.tolist(), strict=True)
-    }
+    return {n: Estimate.around(v, s) for (n, v), s in zip(values.items(), spread, strict=True)}
 
 
 def _judged(
@@ -344,8 +342,7 @@ def _change(values: Sequence[Array], share: float) -> list[Change]:
     before, after = values[0].mean(axis=0), values[1].mean(axis=0)
 
     def interval(value: Array, part: float) -> list[Estimate]:
-        ends = zip(value.tolist(), scatter.half_width(part).tolist(), strict=True)
-        return [Estimate(value=v, low=v - r, high=v + r) for v, r in ends]
+        return [Estimate.around(*pair) for pair in zip(value, scatter.half_width(part), strict=True)]
 
     parts = (
         interval(before, 1.0 / len(values[0])),

@@ -16,7 +16,14 @@ from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.plain import plain
 from aerial_gym.sim2real.statistics import Rms
-from aerial_gym.sim2real.teststand.statistics import FOLDS, Estimate, correlated_covariance, held_out_error, rms
+from aerial_gym.sim2real.teststand.statistics import (
+    Estimate,
+    correlated_covariance,
+    held_out_error,
+    left_out,
+    parts_of,
+    rms,
+)
 
 WINDOW_S = 0.5
 """Means are taken over windows of this length [s]."""
@@ -184,17 +191,16 @@ def fit_hover(
             missed.append(f"left out: {error}")
     if not parts:
         raise DataError(missed[0].removeprefix("left out: ") if missed else "needs at least one flight that hovers")
-    group = np.repeat(np.arange(len(parts)), [part.force.size for part in parts])
-    if len(parts) == 1:
-        group = np.arange(group.size) * FOLDS // group.size
+    sizes = [part.force.size for part in parts]
+    group = parts_of(sizes)
     moments, force = np.concatenate([p.moments for p in parts]), np.concatenate([p.force for p in parts])
     square, target = moments[:, 2], mass * force
-    coefficient = _ratio(square, target, [p.force.size for p in parts], mass_std / mass)
+    coefficient = _ratio(square, target, sizes, mass_std / mass)
     models = {"c_t w²": _model("c_t w²", (0.0, 0.0, 1.0), moments, force, mass, group)}
     scale = None
     if declared is not None:
         carried = (moments * declared).sum(axis=1)
-        scale = _ratio(carried, target, [p.force.size for p in parts], mass_std / mass)
+        scale = _ratio(carried, target, sizes, mass_std / mass)
         left = force - carried / mass
         models = {
             "declared": HoverModel(
@@ -239,7 +245,7 @@ def _ratio(cause: Array, effect: Array, sizes: Sequence[int], mass_error: float)
         each = [_slope(c, e) for c, e in zip(np.split(cause, ends), np.split(effect, ends), strict=True)]
         spread = max(spread, stats.t.ppf(0.975, len(each) - 1) * np.std(each, ddof=1) / np.sqrt(len(each)))
     half_width = float(np.hypot(spread, 1.96 * mass_error * slope))
-    return Estimate(value=slope, low=slope - half_width, high=slope + half_width)
+    return Estimate.around(slope, half_width)
 
 
 def _model(
@@ -247,10 +253,7 @@ def _model(
 ) -> HoverModel:
     """Return a thrust map of a given shape whose size is fitted without each group in turn."""
     carried, target = moments @ np.array(shape), mass * force
-    held_out = np.empty(force.size)
-    for label in np.unique(group):
-        out = group == label
-        held_out[out] = force[out] - _slope(carried[~out], target[~out]) * carried[out] / mass
+    held_out = left_out(group, lambda out: force[out] - _slope(carried[~out], target[~out]) * carried[out] / mass)
     size = _slope(carried, target)
     c0, c1, c2 = (size * c for c in shape)
     return HoverModel(name=name, thrust_map=(c0, c1, c2), held_out=held_out, error=held_out_error(held_out, group))

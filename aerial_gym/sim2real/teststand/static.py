@@ -12,12 +12,12 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.plain import fields_of, plain
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.statistics import (
-    PARSIMONY,
     Estimate,
     estimates,
     held_out_error,
     independent_covariance,
     leverage,
+    parsimonious,
     rms,
 )
 from aerial_gym.sim2real.teststand.tables import Bench, check_rotor_numbers
@@ -163,17 +163,17 @@ def fit_static(bench: Bench, *, num_motors: int = 1) -> tuple[list[StaticFit], l
     column = bench.column("thrust") or ""
     if "total" in column.lower() and num_motors == 1:
         raise DataError(f"{bench.path}: {column!r} is the thrust of several motors; say how many with --num-motors")
-    speed, thrust = bench.values("speed"), bench.values("thrust") / num_motors
-    torque = None if bench.column("torque") is None else bench.values("torque") / num_motors
+    measured = {"speed": bench.values("speed"), "thrust": bench.values("thrust") / num_motors}
+    if bench.column("torque") is not None:
+        measured["torque"] = bench.values("torque") / num_motors
     if "test" not in bench.table.columns:
-        return [_fit_both_ways(bench.path, speed, thrust, torque)], []
+        return [_fit_both_ways(bench.path, measured)], []
     tests = np.asarray(bench.table["test"].astype(str))
     fits, left_out = [], []
     for test in dict.fromkeys(tests):
-        rows = tests == test
-        part = None if torque is None else torque[rows]
+        part = {quantity: values[tests == test] for quantity, values in measured.items()}
         try:
-            fits.append(_fit_both_ways(f"{bench.path}, test {test}", speed[rows], thrust[rows], part))
+            fits.append(_fit_both_ways(f"{bench.path}, test {test}", part))
         except DataError as error:
             left_out.append(str(error))
     if not fits:
@@ -181,37 +181,37 @@ def fit_static(bench: Bench, *, num_motors: int = 1) -> tuple[list[StaticFit], l
     return fits, left_out
 
 
-def _fit_both_ways(name: str, speed: Array, thrust: Array, torque: Array | None) -> StaticFit:
-    back = speed < 0.0
+def _fit_both_ways(name: str, measured: dict[str, Array]) -> StaticFit:
+    """Return the maps of speed, thrust and, if it was measured, torque, (T,) each."""
+    back = measured["speed"] < 0.0
     if not back.any():
-        return _fit_test(name, speed, thrust, torque)
-    parts = [None if torque is None else torque[~back], None if torque is None else -torque[back]]
-    forwards = _fit_test(name, speed[~back], thrust[~back], parts[0], through_zero=True)
-    backwards = _fit_test(f"{name}, backwards", -speed[back], -thrust[back], parts[1], through_zero=True)
-    return replace(forwards, reverse=backwards)
+        return _fit_test(name, measured)
+    forwards = _fit_test(name, {q: values[~back] for q, values in measured.items()}, through_zero=True)
+    backwards = {q: -values[back] for q, values in measured.items()}
+    return replace(forwards, reverse=_fit_test(f"{name}, backwards", backwards, through_zero=True))
 
 
-def _fit_test(name: str, speed: Array, thrust: Array, torque: Array | None, *, through_zero: bool = False) -> StaticFit:
-    check_rotor_numbers(name, speed, thrust, torque)
+def _fit_test(name: str, measured: dict[str, Array], *, through_zero: bool = False) -> StaticFit:
+    speed, thrust = measured["speed"], measured["thrust"]
+    check_rotor_numbers(name, speed, thrust, measured.get("torque"))
     dead = (speed == 0.0) & (thrust > STALLED * thrust.max())
     notes = (f"{dead.sum()} rows with thrust at speed 0 left out: the speed sensor did not read",) if dead.any() else ()
-    speed, thrust = speed[~dead], thrust[~dead]
-    torque = None if torque is None else torque[~dead]
+    kept = {quantity: values[~dead] for quantity, values in measured.items()}
+    speed, thrust, torque = kept["speed"], kept["thrust"], kept.get("torque")
     if np.unique(speed).size < FEWEST_ROWS:
         raise DataError(f"{name}: has {np.unique(speed).size} different speeds, needs at least {FEWEST_ROWS}")
     thrust_map = choose_map(speed, thrust, unit="N", through_zero=through_zero)
-    ratio = None
+    ratio = torque_map = None
     if torque is not None:
         ratio = _fit_regressors("ratio", thrust[:, None], torque, ("ratio",)).coefficients["ratio"]
+        torque_map = choose_map(speed, torque, unit="N m", thrust=thrust_map.best, through_zero=through_zero)
     return StaticFit(
         name=name,
         speed=speed,
         thrust=thrust,
         torque=torque,
         thrust_map=thrust_map,
-        torque_map=None
-        if torque is None
-        else choose_map(speed, torque, unit="N m", thrust=thrust_map.best, through_zero=through_zero),
+        torque_map=torque_map,
         torque_ratio=ratio,
         notes=notes,
     )
@@ -233,25 +233,18 @@ def choose_map(
         carried = np.polyval(thrust.polynomial()[::-1], speed)[:, None]
         columns = {"torque ratio": carried, **columns}
         candidates = {"torque ratio": _fit_regressors("torque ratio", carried, values, ("ratio",)), **candidates}
-    nested = np.empty(speed.size)
+    nested, terms = np.empty(speed.size), {name: rows.shape[1] for name, rows in columns.items()}
     for row in range(speed.size):
         others = np.arange(speed.size) != row
         errors = {name: rms(_leave_one_out(c[others], values[others])) for name, c in columns.items()}
-        best = _parsimonious(errors, columns)
+        best = parsimonious(errors, terms)
         gains = np.linalg.lstsq(columns[best][others], values[others], rcond=None)[0]
         nested[row] = values[row] - columns[best][row] @ gains
     rising = [name for name in columns if name == "torque ratio" or candidates[name].polynomial()[2] > 0.0]
     if through_zero:
         rising = [name for name in rising if name == "torque ratio" or candidates[name].polynomial()[1] >= 0.0]
-    chosen = _parsimonious({name: candidates[name].held_out_rms for name in rising}, columns)
+    chosen = parsimonious({name: candidates[name].held_out_rms for name in rising}, terms)
     return Choice(unit=unit, candidates=candidates, chosen=chosen, nested=nested)
-
-
-def _parsimonious(errors: dict[str, float], columns: dict[str, Array]) -> str:
-    """Return the candidate with the fewest terms among those whose error is close to the least."""
-    least = min(errors.values())
-    close = [name for name, error in errors.items() if error <= (1.0 + PARSIMONY) * least]
-    return min(close, key=lambda name: (columns[name].shape[1], errors[name]))
 
 
 def _leave_one_out(regressors: Array, values: Array) -> Array:

@@ -3,7 +3,7 @@
 Letters: N rows, K parameters.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,13 +31,16 @@ class Estimate:
         """Return it for JSON."""
         return {"value": self.value, "interval": [self.low, self.high]}
 
+    @classmethod
+    def around(cls, value: float, half_width: float) -> "Estimate":
+        """Return a number whose interval reaches as far to either side."""
+        return cls(value=float(value), low=float(value - half_width), high=float(value + half_width))
+
 
 def estimates(values: Array, covariance: Array, freedom: int) -> list[Estimate]:
     """Return each value with ``value ± t std``, t the 97.5 % quantile of Student's distribution."""
     half_width = stats.t.ppf(0.975, max(freedom, 1)) * np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    return [
-        Estimate(value=float(v), low=float(v - r), high=float(v + r)) for v, r in zip(values, half_width, strict=True)
-    ]
+    return [Estimate.around(*pair) for pair in zip(values, half_width, strict=True)]
 
 
 def rms(values: Array) -> float:
@@ -49,6 +52,32 @@ def held_out_error(values: Array, group: Indices | None = None) -> Rms:
     """Return the rms of held-out errors (N,) with a 95 % interval over groups of rows; None: rows are independent."""
     labels = np.arange(values.size) if group is None else group
     return rms_with_interval(values[:, None], labels, seed=0)[0]
+
+
+def parts_of(counts: Sequence[int]) -> Indices:
+    """Return the part of each row that is left out together, (N,): its flight, of so many rows each; a single one has FOLDS."""
+    if len(counts) == 1:
+        return np.arange(counts[0]) * FOLDS // counts[0]
+    return np.repeat(np.arange(len(counts)), counts)
+
+
+def left_out(part: Indices, missed: Callable[[Flags], Array]) -> Array:
+    """Return by how much every row (N,) misses a fit that has not seen its part, (N,).
+
+    ``missed`` fits the rows outside of some, bool (N,), and says by how much these miss it.
+    """
+    found = np.empty(part.size)
+    for label in np.unique(part):
+        out = part == label
+        found[out] = missed(out)
+    return found
+
+
+def parsimonious(errors: Mapping[str, float], terms: Mapping[str, int]) -> str:
+    """Return the candidate with the fewest terms among those whose error is close to the least; of these the best."""
+    least = min(errors.values())
+    close = [name for name, error in errors.items() if error <= (1.0 + PARSIMONY) * least]
+    return min(close, key=lambda name: (terms[name], errors[name]))
 
 
 def leverage(regressors: Array) -> Array:

@@ -13,7 +13,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.plain import fields_of, plain
 from aerial_gym.sim2real.statistics import Rms
-from aerial_gym.sim2real.teststand.statistics import PARSIMONY, CurveFit, Estimate, fit_curve, held_out_error, rms
+from aerial_gym.sim2real.teststand.statistics import Estimate, fit_curve, held_out_error, left_out, parsimonious, rms
 from aerial_gym.sim2real.teststand.tables import Bench
 
 SHORTEST_STEP = 5
@@ -189,6 +189,8 @@ def fit_steps(records: Sequence[StepRecord]) -> StepFit:
             "constants apart and to test them"
         )
     laws = {name: _fit_law(name, records) for name in names}
+    errors = {name: law.held_out_rms for name, law in laws.items()}
+    terms = {name: len(params) for name, params in LAWS.items()}
     tau = min(p.value for law in laws.values() for n, p in law.params.items() if n.startswith("tau"))
     sample = float(np.median(np.concatenate([np.diff(record.time) for record in records])))
     if tau < 1.5 * sample:
@@ -196,16 +198,10 @@ def fit_steps(records: Sequence[StepRecord]) -> StepFit:
     return StepFit(
         records=tuple(records),
         laws=laws,
-        chosen=_parsimonious(laws, names),
-        in_robot=_parsimonious(laws, [name for name in ROBOT_LAWS if name in laws]),
+        chosen=parsimonious(errors, terms),
+        in_robot=parsimonious({name: errors[name] for name in ROBOT_LAWS if name in laws}, terms),
         notes=tuple(notes),
     )
-
-
-def _parsimonious(laws: dict[str, LawFit], names: Sequence[str]) -> str:
-    least = min(laws[name].held_out_rms for name in names)
-    close = [name for name in names if laws[name].held_out_rms <= (1.0 + PARSIMONY) * least]
-    return min(close, key=lambda name: (len(LAWS[name]), laws[name].held_out_rms))
 
 
 def _ways(record: StepRecord) -> list[str]:
@@ -217,9 +213,8 @@ def _fit_law(name: str, records: Sequence[StepRecord]) -> LawFit:
     labels = LAWS[name]
     start, low, high = (np.array(column) for column in zip(*(BOUNDS[label] for label in labels), strict=True))
     measured = np.concatenate([record.measured[record.starts[0] :] for record in records])
-    for place, label in enumerate(
-        labels
-    ):  # a limit that no step reaches has no slope: begin where the largest one does
+    # A limit that no step reaches has no slope: begin where the largest one does.
+    for place, label in enumerate(labels):
         if label.startswith("slew"):
             asked = max(largest_step(record, label.removeprefix("slew_")) for record in records) / BOUNDS["tau"][0]
             start[place] = np.clip(0.5 * asked, 2.0 * low[place], 0.5 * high[place])
@@ -228,22 +223,12 @@ def _fit_law(name: str, records: Sequence[StepRecord]) -> LawFit:
         params = dict(zip(labels, values, strict=True))
         return np.concatenate([simulate(record, params)[record.starts[0] :] for record in records])
 
-    whole: CurveFit = fit_curve(predict, measured, start, low, high)
+    whole = fit_curve(predict, measured, start, low, high)
     inside = np.clip(whole.params, low + 1e-6 * (high - low), high - 1e-6 * (high - low))
-    held_out, offset = np.empty(measured.size), 0
-    for record in records:
-        for first, last in zip(
-            record.starts[:-1] - record.starts[0], record.starts[1:] - record.starts[0], strict=True
-        ):
-            kept = np.ones(measured.size, dtype=bool)
-            kept[offset + first : offset + last] = False
-            part = fit_curve(predict, measured, inside, low, high, kept)
-            held_out[~kept] = part.residual[~kept]
-        offset += record.time.size - record.starts[0]
+    begins = np.concatenate([np.isin(np.arange(r.starts[0], r.time.size), r.starts) for r in records])
+    step = begins.cumsum(dtype=np.int64)
+    held_out = left_out(step, lambda out: fit_curve(predict, measured, inside, low, high, ~out).residual[out])
     params = _unreached(dict(zip(labels, whole.estimates(), strict=True)), records)
-    step = np.concatenate([np.isin(np.arange(r.starts[0], r.time.size), r.starts) for r in records]).cumsum(
-        dtype=np.int64
-    )
     return LawFit(
         name=name, params=params, fit_rms=rms(whole.residual), held_out=held_out, step=step, residual=whole.residual
     )

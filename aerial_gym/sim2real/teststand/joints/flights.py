@@ -21,8 +21,7 @@ from aerial_gym.sim2real.plain import fields_of, plain
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.joints.courses import read_course
-from aerial_gym.sim2real.teststand.joints.flown import FlownJoint, fit_flown_joints, joints_of
-from aerial_gym.sim2real.teststand.joints.found import FoundJoint
+from aerial_gym.sim2real.teststand.joints.flown import FlownJoint, FoundJoint, fit_flown_joints, joints_of
 from aerial_gym.sim2real.teststand.joints.hidden import fit_hidden_joints
 from aerial_gym.sim2real.teststand.joints.swing import ride_of
 from aerial_gym.sim2real.teststand.report import Study, Table

@@ -30,6 +30,8 @@ from aerial_gym.sim2real.teststand.statistics import (
     estimates,
     fit_curve,
     held_out_error,
+    left_out,
+    parts_of,
 )
 
 CLEAR = 0.8
@@ -44,6 +46,36 @@ LAWS: dict[str, tuple[str, ...]] = {
     "quadratic spring": ("quadratic", "damping", "rest", "preload"),
 }
 """Parameters of each candidate: stiffness [N m/rad], quadratic [N m/rad²], damping [N m s/rad], rest [rad], others [N m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundJoint:
+    """What flights say of a joint, whether its angle was logged or not."""
+
+    name: str
+    changed: tuple[str, ...]
+    """What of it differs from what is declared, by the 95 % intervals."""
+
+    declared: dict[str, float]
+    params: dict[str, Estimate]
+    """By the names of ``SpringCfg``."""
+
+    spring: SpringCfg
+    """For the robot file."""
+
+    @property
+    def sentence(self) -> str:
+        """What differs, in words."""
+        told = [
+            f"{name} {self.params[name].value:.3g} in place of {self.declared[name]:.3g}"
+            for name in self.changed
+            if name in self.params and name in self.declared
+        ]
+        return f"joint {self.name}: {', '.join(told) or ', '.join(self.changed)}"
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        return fields_of(self, "name", "changed", "declared", "params")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,11 +161,9 @@ def _fit_one(joint: JointCfg, k: int, courses: Sequence[Course]) -> FlownJoint:
         for name in ("angle", "rate", "side", "effort")
     )
     counts = [int(rows.sum()) for rows in kept]
-    fold = np.repeat(np.arange(len(counts)), counts)
-    if len(counts) == 1:
-        fold = np.minimum(np.arange(counts[0]) * FOLDS // max(counts[0], 1), FOLDS - 1)
     if angle.size < 50 * FOLDS:
         raise DataError(f"joint {joint.name}: {angle.size} rows in which it moves within its ends; fly longer")
+    fold = parts_of(counts)
     laws = {name: _fit_law(name, angle, rate, side, effort, fold) for name in LAWS}
     least = min(law.error.value for law in laws.values())
     chosen = min(
@@ -171,15 +201,14 @@ def _declared_effort(spring: SpringCfg, angle: Array, rate: Array, side: Array) 
 
 def _fit_law(name: str, angle: Array, rate: Array, side: Array, effort: Array, fold: Indices) -> LawFit:
     """Return a law fitted to all rows, with its error on folds left out."""
-    left = np.empty_like(effort)
     if name == "quadratic spring":
         params, left = _fit_quadratic(angle, rate, effort, fold)
         return LawFit(name=name, params=params, error=held_out_error(left, fold))
     columns = (np.ones_like(angle), -angle, -rate)
     rows = np.stack((*columns, -side) if "friction" in LAWS[name] else columns, axis=1)
-    for number in np.unique(fold):
-        out = fold == number
-        left[out] = effort[out] - rows[out] @ np.linalg.lstsq(rows[~out], effort[~out], rcond=None)[0]
+    left = left_out(
+        fold, lambda out: effort[out] - rows[out] @ np.linalg.lstsq(rows[~out], effort[~out], rcond=None)[0]
+    )
     values = np.linalg.lstsq(rows, effort, rcond=None)[0]
     covariance = correlated_covariance(rows, effort - rows @ values)
     preload, stiffness = values[0], values[1]
@@ -206,11 +235,9 @@ def _fit_quadratic(angle: Array, rate: Array, effort: Array, fold: Indices) -> t
         away = angle - rest
         return preload - quadratic * np.abs(away) * away - damping * rate
 
-    whole, left = fit_curve(predict, effort, start, low, high), np.empty_like(effort)
+    whole = fit_curve(predict, effort, start, low, high)
     near = np.clip(whole.params, low + 1e-6 * (high - low), high - 1e-6 * (high - low))
-    for number in np.unique(fold):
-        out = fold == number
-        left[out] = fit_curve(predict, effort, near, low, high, ~out).residual[out]
+    left = left_out(fold, lambda out: fit_curve(predict, effort, near, low, high, ~out).residual[out])
     return dict(zip(names, whole.estimates(), strict=True)), left
 
 

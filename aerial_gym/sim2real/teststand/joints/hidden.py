@@ -26,10 +26,9 @@ from aerial_gym.sim2real.predict.rows.dataset import SAMPLES_PER_BAND
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.joints.courses import SLOW
-from aerial_gym.sim2real.teststand.joints.flown import MATERIAL, joints_of, unfit
-from aerial_gym.sim2real.teststand.joints.found import FoundJoint
+from aerial_gym.sim2real.teststand.joints.flown import MATERIAL, FoundJoint, joints_of, unfit
 from aerial_gym.sim2real.teststand.joints.swing import CHANNELS, SETTLE_S, Laws, Ride, Swing
-from aerial_gym.sim2real.teststand.statistics import FOLDS, correlated_covariance, estimates, held_out_error
+from aerial_gym.sim2real.teststand.statistics import correlated_covariance, estimates, held_out_error, parts_of
 
 LEAST_ROWS = 50
 """That must be left of a flight."""
@@ -84,9 +83,7 @@ class _Fit:
             raise DataError(
                 f"flights are too short: without angles {SETTLE_S:g} s at their start are left out; fly longer"
             )
-        self.fold = np.repeat(np.arange(len(rides)), [rows.size for rows in self.kept])
-        if len(rides) == 1:
-            self.fold = np.arange(self.kept[0].size) * FOLDS // self.kept[0].size
+        self.fold = parts_of([rows.size for rows in self.kept])
 
     def run(self, progress: Progress) -> HiddenFit:
         """Return the fit."""

@@ -13,7 +13,15 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.plain import plain
 from aerial_gym.sim2real.statistics import Rms
-from aerial_gym.sim2real.teststand.statistics import PARSIMONY, CurveFit, Estimate, fit_curve, held_out_error, rms
+from aerial_gym.sim2real.teststand.statistics import (
+    PARSIMONY,
+    CurveFit,
+    Estimate,
+    fit_curve,
+    held_out_error,
+    left_out,
+    rms,
+)
 from aerial_gym.sim2real.teststand.tables import Bench
 
 PUBLISHED = {"stiffness": 5834.85, "damping": 229.24, "rest": 0.12566}
@@ -274,11 +282,7 @@ def fit_rows(name: str, record: Release, kept: Flags) -> dict[str, float]:
 
 def alternate_error(name: str, record: Release) -> Array:
     """Return the residuals of all rows under the fit to the other half of the blocks [rad], (T,)."""
-    half, error = alternate_blocks(record), np.empty(record.time.size)
-    for fitted in (0, 1):
-        left = half != fitted
-        error[left] = _fit(name, record, ~left).residual[left]
-    return error
+    return left_out(alternate_blocks(record), lambda out: _fit(name, record, ~out).residual[out])
 
 
 def _fit(name: str, record: Release, kept: Flags | None = None, near: Array | None = None) -> CurveFit:
@@ -295,16 +299,13 @@ def _fit(name: str, record: Release, kept: Flags | None = None, near: Array | No
 
 
 def _fit_law(name: str, record: Release) -> JointFit:
-    whole, held_out = _fit(name, record), np.empty(record.time.size)
-    blocks = np.unique(record.block)
-    for block in blocks:
-        out = record.block == block
-        held_out[out] = _fit(name, record, ~out, whole.params).residual[out]
+    whole = _fit(name, record)
+    held_out = left_out(record.block, lambda out: _fit(name, record, ~out, whole.params).residual[out])
     params = dict(zip(("release", *LAWS[name]), whole.estimates(), strict=True))
     return JointFit(
         name=name,
         params=params,
         residual=whole.residual,
         held_out=held_out,
-        block_rms=tuple(rms(held_out[record.block == block]) for block in blocks),
+        block_rms=tuple(rms(held_out[record.block == block]) for block in np.unique(record.block)),
     )

@@ -29,7 +29,14 @@ from aerial_gym.sim2real.teststand.joints.record import (
     release_record,
 )
 from aerial_gym.sim2real.teststand.static import StaticFit, fit_static
-from aerial_gym.sim2real.teststand.statistics import correlated_covariance, estimates, independent_covariance
+from aerial_gym.sim2real.teststand.statistics import (
+    correlated_covariance,
+    estimates,
+    independent_covariance,
+    left_out,
+    parsimonious,
+    parts_of,
+)
 from aerial_gym.sim2real.teststand.step import fit_steps, lag_error, simulate, step_record
 from aerial_gym.sim2real.teststand.studies import joint_text, rotor_changes
 from aerial_gym.sim2real.teststand.tables import read_columns
@@ -81,6 +88,24 @@ def test_variance_of_a_mean_of_correlated_values_is_its_closed_form() -> None:
         values[row] = rho * values[row - 1] + noise[row]
     found = correlated_covariance(np.ones((rows, 1)), values - values.mean())[0, 0] * rows
     assert found == pytest.approx(values.var() * (1.0 + rho) / (1.0 - rho), rel=0.1)
+
+
+def test_a_fit_never_sees_the_part_that_it_is_judged_on() -> None:
+    """Each value less the mean of those in other parts; 6 and 9 are one part."""
+    part, values = np.array([0, 1, 2, 2]), np.array([1.0, 2.0, 6.0, 9.0])
+    missed = left_out(part, lambda out: values[out] - values[~out].mean())
+    np.testing.assert_allclose(missed, values - [17.0 / 3.0, 16.0 / 3.0, 1.5, 1.5])
+
+
+def test_flights_are_left_out_whole_and_a_single_one_in_fifths() -> None:
+    assert parts_of([2, 3]).tolist() == [0, 0, 1, 1, 1]
+    assert parts_of([10]).tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
+
+
+def test_fewer_terms_are_taken_if_they_cost_no_more_than_two_per_cent() -> None:
+    terms = {"short": 1, "long": 2, "as long": 2}
+    assert parsimonious({"short": 1.019, "long": 1.0, "as long": 1.0}, terms) == "short"
+    assert parsimonious({"short": 1.021, "long": 1.01, "as long": 1.0}, terms) == "as long"
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
