@@ -207,7 +207,7 @@ def shift_rotor_log(log: FlightLog, offset: ClockOffset, *, commands: bool = Tru
     """
     if offset.rows == 0.0:
         return log
-    rows, whole = np.arange(log.time.size), int(np.ceil(abs(offset.rows)))
+    rows, whole = np.arange(log.time.size, dtype=float), int(np.ceil(abs(offset.rows)))
     kept = slice(whole, None) if offset.rows > 0.0 else slice(0, -whole)
     moved: dict[str, Array] = {}
     for name in ("rotor_speed", "rotor_command")[: 1 + commands]:
