@@ -10,10 +10,11 @@ import numpy as np
 
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.identify.candidates.library import neutral_of
+from aerial_gym.sim2real.identify.candidates.structure import rows_of
 from aerial_gym.sim2real.identify.least_squares.moments import time_groups
 from aerial_gym.sim2real.judge.evaluation import Evaluation, gap_closed
 from aerial_gym.sim2real.judge.outcome import Outcome, channel_outcome, rollout_outcome
-from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.flights import Flight, had_by_all
 from aerial_gym.sim2real.plain import fields_of
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -166,16 +167,15 @@ def where_it_acts(
 
 def _looks(flights: Sequence[Flight], times: Sequence[Array], acts: Flags) -> dict[str, tuple[float, float]]:
     """Return means over the rows in which an effect acts and over the others."""
-    rows = [np.round(time * flight.rate).astype(int) for flight, time in zip(flights, times, strict=True)]
-    found = {}
-    if all(flight.lin_vel is not None for flight in flights):
-        found["speed [m/s]"] = [
-            np.linalg.norm(f.lin_vel[r], axis=1) for f, r in zip(flights, rows, strict=True) if f.lin_vel is not None
-        ]
-    if all(flight.position is not None for flight in flights):
-        found["height [m]"] = [f.position[r, 2] for f, r in zip(flights, rows, strict=True) if f.position is not None]
-    found["turn rate [rad/s]"] = [np.linalg.norm(f.ang_vel[r], axis=1) for f, r in zip(flights, rows, strict=True)]
-    together = {title: np.concatenate(parts) for title, parts in found.items()}
+    parts = []
+    for flight, time in zip(flights, times, strict=True):
+        rows, found = rows_of(flight, time), dict[str, Array]()
+        if flight.lin_vel is not None:
+            found["speed [m/s]"] = np.linalg.norm(flight.lin_vel[rows], axis=1)
+        if flight.position is not None:
+            found["height [m]"] = flight.position[rows, 2]
+        parts.append(found | {"turn rate [rad/s]": np.linalg.norm(flight.ang_vel[rows], axis=1)})
+    together = {title: np.concatenate(values) for title, values in had_by_all(parts).items()}
     return {
         title: (float(v[acts].mean()), float(v[~acts].mean()) if not acts.all() else np.nan)
         for title, v in together.items()

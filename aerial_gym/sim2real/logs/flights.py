@@ -3,10 +3,11 @@
 Letters: T rows, R rotors.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -72,6 +73,14 @@ class Flight(Recording):
 def names_of(some: Sequence[Flight], flights: Sequence[Flight]) -> str:
     """Return the names of some flights; where they are all of several, that."""
     return "all logs" if len(some) == len(flights) > 1 else ", ".join(flight.name for flight in some)
+
+
+Had = TypeVar("Had")
+
+
+def had_by_all(parts: Sequence[Mapping[str, Had]]) -> dict[str, list[Had]]:
+    """Return what all of some flights have, by its name: a list with that of each."""
+    return {name: [part[name] for part in parts] for name in parts[0] if all(name in part for part in parts)}
 
 
 def notes_of(flights: Sequence[Flight]) -> list[str]:

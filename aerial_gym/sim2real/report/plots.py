@@ -7,7 +7,7 @@ import numpy as np
 
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.judge.evaluation import Evaluation
-from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.flights import Flight, had_by_all
 from aerial_gym.sim2real.logs.signals import welch
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -129,9 +129,9 @@ def what_remains(parts: Sequence[Rest], channel: Channel) -> str:
 
     What all flights have alike is structure; what differs from flight to flight is noise.
     """
-    titles = [title for title in parts[0].quantities if all(title in part.quantities for part in parts)]
-    columns = min(4, 1 + len(titles))
-    rows = -(-(1 + len(titles)) // columns)
+    against = had_by_all([part.quantities for part in parts])
+    columns = min(4, 1 + len(against))
+    rows = -(-(1 + len(against)) // columns)
     figure, grid = panels(rows, columns, width=2.35, height=1.5, title=channel.name, gap=(0.6, 0.5))
     first, *others = (panel for row in grid for panel in row)
     for place, part in enumerate(parts):
@@ -140,9 +140,9 @@ def what_remains(parts: Sequence[Rest], channel: Channel) -> str:
         frequency, density = welch(part.values[:, None], rate, length)
         first.line(frequency[1:], np.sqrt(density[1:, 0]), FLIGHTS[place % len(FLIGHTS)], width=0.7, alpha=0.7)
     first.log, first.x_label, first.y_label = True, "frequency [Hz]", f"{channel.unit} / √Hz"
-    for panel, title in zip(others, titles, strict=False):
+    for panel, (title, places) in zip(others, against.items(), strict=False):
         turned = title in PLACES and channel.kind == "specific_force"
-        _per_flight(panel, [p.quantities[title] for p in parts], [p.world if turned else p.values for p in parts])
+        _per_flight(panel, places, [part.world if turned else part.values for part in parts])
         panel.x_label, panel.y_label = title, f"{'world ' if turned else ''}[{channel.unit}]"
     return figure.svg()
 

@@ -16,7 +16,7 @@ from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.identify.candidates.structure import rows_of
 from aerial_gym.sim2real.identify.least_squares.moments import time_groups
-from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.flights import Flight, had_by_all
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -69,14 +69,6 @@ def quantities(flight: Flight, time: Array, vehicle: Vehicle, bandwidth: float) 
     return found
 
 
-def quantities_of(predictor: Predictor) -> list[dict[str, Array]]:
-    """Return against what the residuals of each flight are drawn: what all logs have."""
-    vehicle = vehicle_from_config(predictor.robot, num_envs=1, dtype=torch.float64)
-    pairs = zip(predictor.flights, predictor.times, strict=True)
-    found = [quantities(flight, time, vehicle, predictor.bandwidth) for flight, time in pairs]
-    return [{name: own[name] for name in own if all(name in other for other in found)} for own in found]
-
-
 def bin_edges(values: Array) -> Array:
     """Return edges between bins of equal count, (B + 1,); fewer where values repeat."""
     return np.unique(np.quantile(values, np.linspace(0.0, 1.0, BINS + 1)))
@@ -89,10 +81,13 @@ def place_in(edges: Array, values: Array) -> Indices:
 
 def profiles(predictor: Predictor, models: Mapping[str, ModelParams]) -> list[Profile]:
     """Return the profile of every quantity that varies in some flights, for each of some models."""
-    own, group, found = quantities_of(predictor), time_groups(predictor.times), []
+    group, found = time_groups(predictor.times), []
+    vehicle = vehicle_from_config(predictor.robot, num_envs=1, dtype=torch.float64)
+    pairs = zip(predictor.flights, predictor.times, strict=True)
+    own = had_by_all([quantities(flight, time, vehicle, predictor.bandwidth) for flight, time in pairs])
     residuals = {name: np.concatenate(predictor.residuals(params)) for name, params in models.items()}
-    for name in own[0]:
-        values = np.concatenate([part[name] for part in own])
+    for name, parts in own.items():
+        values = np.concatenate(parts)
         edges = bin_edges(values)
         if edges.size < 3:
             continue

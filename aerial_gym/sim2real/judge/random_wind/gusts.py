@@ -26,7 +26,7 @@ from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
     process_covariance,
 )
 from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT, NamedEffect
-from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.flights import Flight, had_by_all
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
@@ -192,7 +192,7 @@ def wind_series(predictor: Predictor, params: ModelParams, response: Sequence[Ar
     parts = [features_of(flight, time) for flight, time in zip(predictor.flights, times, strict=True)]
     return Series(
         wind=wind,
-        features={name: [part[name] for part in parts] for name in parts[0] if all(name in part for part in parts)},
+        features=had_by_all(parts),
         step=float(np.median(np.diff(times[0]))),
         bandwidth=predictor.bandwidth,
     )
