@@ -193,22 +193,28 @@ def covering(seen: Library, tested: Library, weights: Weighting, asked: Asked, s
     named = [candidate.columns for candidate in seen.candidates if candidate.named]
     beside = np.concatenate([*named, seen.tolerances]).astype(int)
     left: dict[str, float] = {}
-    prior = np.where(np.isin(beside, seen.tolerances), 1.0, WEAK_PRIOR**-2)
-    a, g = product[np.ix_(beside, beside)] + np.diag(prior), gradient[beside]
-    step, squares = _of_all_flights(a, g, tested, None, beside, weights)
-    alone = _cost(step, seen) if asked.enough(np.sqrt(squares))[asked.remaining].all() else np.inf
+
+    def learned(columns: Indices) -> tuple[Array, Array]:
+        """Return A and g of some columns."""
+        prior = np.where(np.isin(columns, seen.tolerances), 1.0, WEAK_PRIOR**-2)
+        return product[np.ix_(columns, columns)] + np.diag(prior), gradient[columns]
+
+    def suffices(squares: Array) -> bool:
+        return bool(asked.enough(np.sqrt(squares))[asked.remaining].all())
+
+    step, squares = _of_all_flights(*learned(beside), tested, None, beside, weights)
+    alone = _cost(step, seen) if suffices(squares) else np.inf
     for candidate in seen.candidates:
         if candidate.named or not candidate.columns.size:
             continue
         columns = np.concatenate((candidate.columns, beside))
-        prior = np.where(np.isin(columns, seen.tolerances), 1.0, WEAK_PRIOR**-2)
-        a, g = product[np.ix_(columns, columns)] + np.diag(prior), gradient[columns]
+        a, g = learned(columns)
         step, squares = _of_all_flights(a, g, tested, candidate, columns, weights)
         spread, own = np.linalg.inv(a), candidate.columns.size
         away = (step - spread @ g)[:own]
         likely = away @ np.linalg.solve(spread[:own, :own], away) <= special.chdtri(own, significance)
         pays = alone - _cost(step, seen) > LEAST_SCORE  # else other values of what has a name already would do
-        if likely and pays and asked.enough(np.sqrt(squares))[asked.remaining].all():
+        if likely and pays and suffices(squares):
             cost = float((weights.weight * squares)[asked.remaining].sum())
             left[candidate.name] = min(cost, left.get(candidate.name, np.inf))
     return tuple(sorted(left, key=lambda name: left[name]))
@@ -246,7 +252,8 @@ def _sums(library: Library, weight: Array) -> tuple[Array, Array]:
 
 def _within(a: Array, g: Array, candidate: Candidate) -> Array:
     """Return the solution of ``a d = g`` whose first parameters, those of a candidate, are held at bounds that they pass."""
-    low, high = (np.concatenate((end, np.full(g.size - end.size, side))) for end, side in _ends(candidate))
+    others = np.full(g.size - candidate.columns.size, np.inf)
+    low, high = np.append(candidate.low, -others), np.append(candidate.high, others)
     step, free = np.linalg.solve(a, g), np.ones(g.size, dtype=bool)
     for _ in range(candidate.columns.size):
         beyond = (step < low) | (step > high)
@@ -256,10 +263,6 @@ def _within(a: Array, g: Array, candidate: Candidate) -> Array:
         step = np.clip(step, low, high)
         step[free] = np.linalg.solve(a[np.ix_(free, free)], g[free] - a[np.ix_(free, ~free)] @ step[~free])
     return step
-
-
-def _ends(candidate: Candidate) -> tuple[tuple[Array, float], tuple[Array, float]]:
-    return (candidate.low, -np.inf), (candidate.high, np.inf)
 
 
 def names_of(channels: Sequence[str], chosen: Flags) -> tuple[str, ...]:
