@@ -55,8 +55,9 @@ COLUMNS = {
     "ang_vel": ("omega_x", "omega_y", "omega_z"),
     "specific_force": ("acc_x", "acc_y", "acc_z"),
     "attitude": ("q_x", "q_y", "q_z", "q_w"),
+    "battery": ("vbat",),
 }
-"""Of a log in this package's layout, beside t, rotor_n, cmd_n and vbat."""
+"""Of a log in this package's layout, beside t, rotor_n and cmd_n."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,11 +107,17 @@ class Watch:
         """
         self._robot, self._name, self._place = robot, name, {column.strip(): k for k, column in enumerate(header)}
         self._finder = FailureFinder(robot, false_alarm_hours=false_alarm_hours)
-        self._rotors = [self._numbered(kind) for kind in ("rotor", "cmd")]
+        numbers = range(1, robot.num_rotors + 1)
+        rotors = {"rotor_speed": [f"rotor_{n}" for n in numbers], "rotor_command": [f"cmd_{n}" for n in numbers]}
+        self._columns = {
+            quantity: [self._place[name] for name in names]
+            for quantity, names in (COLUMNS | rotors).items()
+            if all(name in self._place for name in names)
+        }
         needed = ("t", *COLUMNS["attitude"], *COLUMNS["ang_vel"])
         if lacking := [column for column in needed if column not in self._place]:
             raise DataError(f"{name}: no column {lacking[0]!r}; a log that is watched needs {', '.join(needed)}")
-        if not any(self._rotors):
+        if self._columns.keys().isdisjoint(rotors):
             raise DataError(
                 f"{name}: neither rotor_1..{robot.num_rotors} nor cmd_1..{robot.num_rotors}: log one of them"
             )
@@ -127,11 +134,6 @@ class Watch:
         self.over = False
         """Whether something failed that goes on."""
         self.watched_s = 0.0
-
-    def _numbered(self, kind: str) -> list[int]:
-        """Return the places of the columns of all rotors, none if the log has not all of them."""
-        names = [f"{kind}_{number}" for number in range(1, self._robot.num_rotors + 1)]
-        return [self._place[name] for name in names] if all(name in self._place for name in names) else []
 
     def add(self, row: Sequence[float] | Array) -> list[Alarm]:
         """Take one more row, in the order of the header, empty fields as NaN; return what there is to tell.
@@ -200,29 +202,14 @@ class Watch:
         self._works = [part.rows(slice(-WINDOW_BLOCKS, None)) for part in kept]
 
     def _log(self, rows: Array) -> FlightLog:
-        """Return rows as a log."""
-
-        def part(name: str) -> Array | None:
-            known = all(column in self._place for column in COLUMNS[name])
-            return _whole(rows[:, [self._place[column] for column in COLUMNS[name]]] if known else None)
-
-        attitude = part("attitude")
-        if attitude is None:
+        """Return rows as a log, without quantities that have a gap."""
+        values = {quantity: rows[:, places] for quantity, places in self._columns.items()}
+        whole = {quantity: value for quantity, value in values.items() if not np.isnan(value).any()}
+        if "attitude" not in whole:
             raise DataError(f"{self._name}: the attitude is empty at {rows[0, self._place['t']]:g} s")
-        speed, command = (rows[:, places] if places else None for places in self._rotors)
-        volts = rows[:, self._place["vbat"]] if "vbat" in self._place else None
-        return FlightLog(
-            path=self._name,
-            time=rows[:, self._place["t"]],
-            rotor_speed=_whole(speed),
-            rotor_command=_whole(command),
-            battery=_whole(volts),
-            attitude=attitude,
-            position=part("position"),
-            lin_vel=part("lin_vel"),
-            ang_vel=part("ang_vel"),
-            specific_force=part("specific_force"),
-        )
+        battery = whole.pop("battery", None)
+        volts = None if battery is None else battery[:, 0]
+        return FlightLog(path=self._name, time=rows[:, self._place["t"]], battery=volts, **whole)
 
     def _flight(self, rows: Array) -> Flight:
         """Return rows as a flight; the vehicle is not watched where its rotors are not told to carry half its weight."""
@@ -252,8 +239,3 @@ class Watch:
         """Return the failure that was suspected when the rows ended: a vehicle that came down is not seen for long."""
         found, self._suspected = self._suspected, None
         return [Alarm(stage=NAMED, failure=found, told_s=self.watched_s)] if found else []
-
-
-def _whole(values: Array | None) -> Array | None:
-    """Return values without a gap, None in place of others."""
-    return None if values is None or np.isnan(values).any() else values
