@@ -5,7 +5,7 @@ after its onset is not compared with the vehicle as it was before. Letters: T ro
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import hypot
 
 import numpy as np
@@ -35,21 +35,32 @@ RISES = {"motor_failure": "of its commands", "weak_motor": "of its thrust", "bro
 
 
 @dataclass(frozen=True, kw_only=True)
-class Failure:
-    """What failed in one flight."""
+class Finding:
+    """What happened in one flight, and since when."""
 
     flight: str
     name: str
-    """motor_failure, weak_motor, stuck_rotor or brown_out."""
+    """motor_failure, weak_motor, stuck_rotor or brown_out; position_jump or sensor_dropout."""
 
     params: dict[str, float]
-    """As in robot files, ``time`` from the first row on [s]; ``speed`` is what a stuck rotor keeps [rad/s], or [N]."""
+    """As in robot files, ``time`` from the first row on [s]; ``speed`` is what a stuck rotor keeps [rad/s], or [N]; of a jump
+    ``x``, ``y``, ``z`` [m], world."""
 
-    std: dict[str, float]
+    std: dict[str, float] = field(default_factory=dict)
     """Of those that are numbers."""
 
-    interval: dict[str, tuple[float, float]]
+    interval: dict[str, tuple[float, float]] = field(default_factory=dict)
     """95 %."""
+
+    @property
+    def time(self) -> float:
+        """Return the onset, from the first row of the log on [s]."""
+        return self.params["time"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Failure(Finding):
+    """What failed in one flight."""
 
     log_odds: float
     """Of this failure against none, at its onset."""
@@ -59,11 +70,6 @@ class Failure:
 
     rival: str
     """The most probable other failure, empty if there is none."""
-
-    @property
-    def time(self) -> float:
-        """Return the onset, from the first row of the log on [s]."""
-        return self.params["time"]
 
     @property
     def sentence(self) -> str:

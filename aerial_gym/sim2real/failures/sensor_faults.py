@@ -5,11 +5,12 @@ seconds of the flight. Letters: T rows.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.failures.finding import Finding
 from aerial_gym.sim2real.logs.position_jumps import HALF_S, Offset, PositionJump, integral, largest_jump
 from aerial_gym.sim2real.logs.recording import FlightLog, part_of
 from aerial_gym.sim2real.logs.repeated_samples import (
@@ -26,27 +27,11 @@ WINDOW_S = 20.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensorFault:
+class SensorFault(Finding):
     """A jump of the position, or a sensor that gives nothing new."""
-
-    flight: str
-    name: str
-    """position_jump or sensor_dropout."""
 
     sensor: str
     """Which, as in a ``FlightLog``."""
-
-    params: dict[str, float]
-    """``time`` from the first row on [s]; of a jump ``x``, ``y``, ``z`` [m], world."""
-
-    std: dict[str, float] = field(default_factory=dict)
-    interval: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """95 %."""
-
-    @property
-    def time(self) -> float:
-        """Return when it began, from the first row on [s]."""
-        return self.params["time"]
 
     @property
     def sentence(self) -> str:
