@@ -14,13 +14,13 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted, label_of
 from aerial_gym.sim2real.identify.least_squares.moments import flight_of_rows, time_groups
 from aerial_gym.sim2real.identify.selection.select import Rival, Selection
-from aerial_gym.sim2real.judge.evaluation import Evaluation
+from aerial_gym.sim2real.judge.evaluation import Evaluation, rollout_rises
 from aerial_gym.sim2real.judge.whiteness import EDGES, in_octaves, lines
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.plain import fields_of, plain
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.rollout import QUANTITIES, RolloutErrors, roll_out_models
+from aerial_gym.sim2real.predict.rollout import RolloutErrors, roll_out_models
 from aerial_gym.sim2real.statistics import Rise, rise_with_interval
 
 MOST_WEIGHED = 8
@@ -140,7 +140,7 @@ def ablations(
         rises = rise_with_interval(np.concatenate(left), residual, group, flight)
         most = int(np.argmax([rise.value for rise in rises]))
         octaves = taken_from_octaves(tested, left, residuals, most)
-        rollout = rollout_rises(flown[place], evaluations[1].rollouts["free"]) if flown else {}
+        rollout = judged_rises(flown[place], evaluations[1].rollouts["free"]) if flown else {}
         found[name] = Ablation(
             residual={channel.name: rise for channel, rise in zip(tested.channels, rises, strict=True)},
             rollout=rollout,
@@ -174,16 +174,12 @@ def solid_below(octaves: Sequence[float], bandwidth: float, least: float) -> flo
     return edge
 
 
-def rollout_rises(without: RolloutErrors, errors: RolloutErrors) -> dict[float, dict[str, Rise]]:
+def judged_rises(without: RolloutErrors, errors: RolloutErrors) -> dict[float, dict[str, Rise]]:
     """Return by which share the errors of the same windows rise at the judged horizons."""
     found: dict[float, dict[str, Rise]] = {horizon: {} for horizon in JUDGED_S if horizon in errors.horizons}
-    for quantity in QUANTITIES:
-        more, less = getattr(without, quantity), getattr(errors, quantity)
-        if less is not None:
-            found_rises = rise_with_interval(more, less, errors.windows.cluster, errors.windows.flight)
-            rises = dict(zip(errors.horizons, found_rises, strict=True))
-            for horizon, quantities in found.items():
-                quantities[quantity] = rises[horizon]
+    for quantity, horizon, rise in rollout_rises(without, errors):
+        if horizon in found:
+            found[horizon][quantity] = rise
     return found
 
 

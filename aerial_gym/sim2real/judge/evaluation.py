@@ -1,6 +1,6 @@
 """How well a model predicts flights: residuals of each channel and open-loop rollouts, each with a 95 % interval."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES, RolloutErrors, roll_out_models
-from aerial_gym.sim2real.statistics import Rms, rms_with_interval
+from aerial_gym.sim2real.statistics import Rise, Rms, rise_with_interval, rms_with_interval
 
 LEAST_GAP = 1.21
 """There is something to close where the mean square is this many times the floor's: 10 % in rms."""
@@ -95,6 +95,15 @@ def missing_for_rollouts(flights: Sequence[Flight]) -> str:
         return f"{names_of(blind, flights)}: without velocity or position"
     turning = [flight for flight in flights if flight.attitude_integrated]
     return f"{names_of(turning, flights)}: without attitude, which the gyro alone does not give" if turning else ""
+
+
+def rollout_rises(errors: RolloutErrors, reference: RolloutErrors) -> Iterator[tuple[str, float, Rise]]:
+    """Yield each quantity and horizon [s], and by which share its error is above that of another model in the same windows."""
+    for quantity in QUANTITIES:
+        values, others = getattr(errors, quantity), getattr(reference, quantity)
+        if values is not None:
+            rises = rise_with_interval(values, others, errors.windows.cluster, errors.windows.flight)
+            yield from ((quantity, *pair) for pair in zip(errors.horizons, rises, strict=True))
 
 
 def gap_closed(before: float, after: float, floor: float | None) -> float | None:

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from aerial_gym.sim2real.identify.least_squares.moments import flight_of_rows, time_groups
-from aerial_gym.sim2real.judge.evaluation import Evaluation
+from aerial_gym.sim2real.judge.evaluation import Evaluation, rollout_rises
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.rollout import QUANTITIES
 from aerial_gym.sim2real.statistics import Rise, rise_with_interval
 
 BETTER, SAME, WORSE, NOT_SHOWN = "better", "same", "worse", "not shown"
@@ -100,13 +99,8 @@ def _channels(predictor: Predictor, models: tuple[ModelParams, ModelParams], lea
 def _rollouts(evaluations: tuple[Evaluation, Evaluation], least: float) -> Iterator[Outcome]:
     before, after = (evaluation.rollouts for evaluation in evaluations)
     for variant, errors in after.items():
-        for quantity in QUANTITIES:
-            new, old = getattr(errors, quantity), getattr(before[variant], quantity)
-            if new is None:
-                continue
-            rises = rise_with_interval(new, old, errors.windows.cluster, errors.windows.flight)
-            for horizon, rise in zip(errors.horizons, rises, strict=True):
-                yield rollout_outcome(variant, quantity, horizon, rise, least)
+        for quantity, horizon, rise in rollout_rises(errors, before[variant]):
+            yield rollout_outcome(variant, quantity, horizon, rise, least)
 
 
 def channel_outcome(channel: Channel, rise: Rise, least: float) -> Outcome:
