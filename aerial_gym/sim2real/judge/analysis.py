@@ -17,14 +17,7 @@ from aerial_gym.sim2real.judge.ablation import ablations
 from aerial_gym.sim2real.judge.breakdown import by_flight, where_it_acts
 from aerial_gym.sim2real.judge.doubt import doubt_notes, with_doubt
 from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate
-from aerial_gym.sim2real.judge.experiments.design import (
-    Advice,
-    Catalogue,
-    fits_vehicle,
-    showable,
-    what_shows,
-    what_tells,
-)
+from aerial_gym.sim2real.judge.experiments.design import fits_vehicle, what_to_fly
 from aerial_gym.sim2real.judge.outcome import Outcome, outcomes, said_first
 from aerial_gym.sim2real.judge.random_wind.gusts import NAME, declared_wind, with_random
 from aerial_gym.sim2real.judge.unexplained import Unexplained, find_unexplained, judges_forces, rms_of
@@ -286,23 +279,6 @@ def open_notes(unexplained: Unexplained) -> list[str]:
         f"not shown: more than noise remains in {', '.join(unexplained.left_open)} of the test flights, and no more than the "
         "training flights leave open within the tolerances and named effects; train on flights that move as the test flights do"
     ]
-
-
-def what_to_fly(
-    declared: Declared, selection: Selection, open_to: Sequence[str]
-) -> tuple[Advice | None, dict[str, Advice]]:
-    """Return the manoeuvre that tells tied candidates apart, and those that show what the flights do not.
-
-    ``open_to`` names effects that the test flights ask for and the training flights do not show.
-    """
-    train = declared.train
-    tied = {name: selection.ties_of(name) for name in selection.accepted}
-    hidden = list(dict.fromkeys((*showable(selection, train.robot, train.flights), *open_to)))
-    if not any(tied.values()) and not hidden:
-        return None, {}
-    catalogue = Catalogue(train, selection)
-    tells, shows = what_tells(catalogue, selection, tied), what_shows(catalogue, selection, declared.params, hidden)
-    return tells or next((shows[name] for name in open_to), None), shows
 
 
 def not_testable(selection: Selection, robot: RobotCfg, unexplained: Unexplained) -> dict[str, str]:

@@ -29,6 +29,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
 from aerial_gym.sim2real.identify.least_squares.parameters import is_number
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.select import Rival, Selection
+from aerial_gym.sim2real.identify.stages import Declared
 from aerial_gym.sim2real.judge.experiments.manoeuvres import MANOEUVRES, SPAN_S, fly
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -63,12 +64,13 @@ class Advice:
     def text(self) -> str:
         """Return the advice in words."""
         names = " from ".join(self.tells) if len(self.tells) < 3 else ", ".join(self.tells)
+        does = f"expected to {'tell' if len(self.tells) > 1 else 'show'} {names}"
         if self.fly is None:
             return (
-                f"no manoeuvre of the catalogue is expected to {'tell' if len(self.tells) > 1 else 'show'} {names} with the "
-                "sensors of these logs: weigh or measure on a bench what they act on, or log more"
+                f"no manoeuvre of the catalogue is {does} with the sensors of these logs: weigh or measure on a bench what "
+                "they act on, or log more"
             )
-        return f"{self.fly}: expected to {'tell' if len(self.tells) > 1 else 'show'} {names}"
+        return f"{self.fly}: {does}"
 
 
 class Catalogue:
@@ -174,3 +176,20 @@ def what_shows(
     final = selection.final
     scores = {name: catalogue.show(name, final.fit.params, final.effects, declared) for name in hidden}
     return {name: catalogue.advise(score, (name,)) for name, score in scores.items()}
+
+
+def what_to_fly(
+    declared: Declared, selection: Selection, open_to: Sequence[str]
+) -> tuple[Advice | None, dict[str, Advice]]:
+    """Return the manoeuvre that tells tied candidates apart, and those that show what the flights do not.
+
+    ``open_to`` names effects that the test flights ask for and the training flights do not show.
+    """
+    train = declared.train
+    tied = {name: selection.ties_of(name) for name in selection.accepted}
+    hidden = list(dict.fromkeys((*showable(selection, train.robot, train.flights), *open_to)))
+    if not any(tied.values()) and not hidden:
+        return None, {}
+    catalogue = Catalogue(train, selection)
+    tells, shows = what_tells(catalogue, selection, tied), what_shows(catalogue, selection, declared.params, hidden)
+    return tells or next((shows[name] for name in open_to), None), shows
