@@ -9,9 +9,11 @@ from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import (
     continuous_quaternion,
     edge_rows,
+    interpolated,
     lagged,
     lowpass,
     lowpass_gain,
+    signs_of,
     uniform_log,
     welch,
     without_line,
@@ -115,3 +117,15 @@ def test_a_lag_is_summed_as_row_by_row(kept: float) -> None:
     for row in values[:-1]:
         expected.append(kept * expected[-1] + (1.0 - kept) * row)
     np.testing.assert_allclose(lagged(values, kept, start), expected, atol=1e-13)
+
+
+def test_signs_take_every_jump_out_of_a_quaternion() -> None:
+    turned = np.array([[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.1, -1.0], [0.0, 0.0, 0.2, -1.0], [0.0, 0.0, -0.3, 1.0]])
+    assert signs_of(turned).tolist() == [1.0, -1.0, -1.0, 1.0]
+
+
+def test_columns_run_in_straight_lines_between_rows() -> None:
+    found = interpolated(
+        np.array([0.5, 1.5]), np.array([0.0, 1.0, 2.0]), np.array([[0.0, 4.0], [2.0, 2.0], [2.0, 0.0]])
+    )
+    assert found.tolist() == [[1.0, 3.0], [2.0, 1.0]]
