@@ -207,9 +207,10 @@ class Watch:
         whole = {quantity: value for quantity, value in values.items() if not np.isnan(value).any()}
         if "attitude" not in whole:
             raise DataError(f"{self._name}: the attitude is empty at {rows[0, self._place['t']]:g} s")
-        battery = whole.pop("battery", None)
-        volts = None if battery is None else battery[:, 0]
-        return FlightLog(path=self._name, time=rows[:, self._place["t"]], battery=volts, **whole)
+        if "battery" in whole:
+            whole["battery"] = whole["battery"][:, 0]
+        log = FlightLog(path=self._name, time=rows[:, self._place["t"]], attitude=whole["attitude"])
+        return replace(log, **whole)
 
     def _flight(self, rows: Array) -> Flight:
         """Return rows as a flight; the vehicle is not watched where its rotors are not told to carry half its weight."""
