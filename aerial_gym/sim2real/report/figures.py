@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import torch
 
-from aerial_gym.physics import EFFECTS, vehicle_from_config
+from aerial_gym.physics import vehicle_from_config
+from aerial_gym.sim2real.identify.candidates.library import neutral_of
 from aerial_gym.sim2real.identify.candidates.structure import rows_of, world_forces
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted
 from aerial_gym.sim2real.identify.selection.select import Selection
@@ -36,14 +37,19 @@ def models_of(judged: Judged) -> dict[str, ModelParams]:
 
 
 def clues_of(judged: Judged) -> dict[str, list[Clue]]:
-    """Return what the training flights tell of the accepted effects; if there are none, of those that came closest."""
-    selection, found = judged.selection, {}
-    shown = selection.accepted or tuple(name for fitted in closest(selection) for name in fitted.effects)
+    """Return what the training flights tell of the accepted effects; if there are none, of those that came closest.
+
+    With the deviations that were fitted beside them: without these the line of the fitted value misses what is left.
+    """
+    declared, selection = judged.declared, judged.selection
+    models = dict.fromkeys(selection.accepted, judged.within)
+    for fitted in () if models else closest(selection):
+        models.setdefault(fitted.effects[0], fitted.within)
     untold = {effect.name: effect.frozen for effect in judged.verdict.effects}
-    for name in shown:
-        params, neutral = evidence_point(selection, name, judged)
-        weight = selection.weights.weight
-        found[name] = clues(judged.declared.train, params, name, neutral, weight, untold.get(name, ()))
+    weight, found = selection.weights.weight, {}
+    for name, params in models.items():
+        neutral = neutral_of(name, declared.params, declared.stated)
+        found[name] = clues(declared.train, params, name, neutral, weight, untold.get(name, ()))
     return found
 
 
@@ -122,20 +128,6 @@ def remaining(judged: Judged) -> list[tuple[Channel, list[plots.Rest]]]:
                 )
         found.append((channels[place], parts))
     return found
-
-
-def evidence_point(selection: Selection, effect: str, judged: Judged) -> tuple[ModelParams, np.ndarray]:
-    """Return the model that has the effect, and the effect's neutral parameters.
-
-    With the deviations that were fitted beside it: without them the line of the fitted value misses what is left.
-    """
-    if effect in judged.declared.params.effects:
-        neutral = judged.declared.params.effects[effect]
-    else:
-        neutral = np.array(EFFECTS.get(effect).neutral(judged.declared.stated))
-    if effect in selection.accepted:
-        return judged.within, neutral
-    return next(fitted for fitted in closest(selection) if effect in fitted.effects).within, neutral
 
 
 def closest(selection: Selection) -> list[Fitted]:
