@@ -63,18 +63,17 @@ class NamedEffect:
     correlation: dict[str, dict[str, float]] = field(default_factory=dict)
     """How a parameter is correlated with those that stand before it, by ``name.parameter``."""
 
+    @property
+    def interval(self) -> dict[str, tuple[float, float]]:
+        """Return the 95 % interval of every parameter that has one."""
+        half_width = {key: 1.96 * std for key, std in self.std.items()}
+        return {k: (v - half_width[k], v + half_width[k]) for k, v in self.params.items() if k in half_width}
+
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
-        interval = {
-            key: [value - 1.96 * self.std[key], value + 1.96 * self.std[key]]
-            for key, value in self.params.items()
-            if key in self.std
-        }
         worth = self.ablation
         return {
-            **fields_of(self, "name", "params", "std"),
-            "interval": interval,
-            **fields_of(self, "noise_std", "frozen", "confidence", "ties"),
+            **fields_of(self, "name", "params", "std", "interval", "noise_std", "frozen", "confidence", "ties"),
             "ties_in_part": plain(self.in_part),
             "material": worth is None or worth.material,
             "without_it": plain(worth),

@@ -27,16 +27,16 @@ def parameter_rows(judged: Judged) -> list[dict[str, object]]:
         declared = judged.declared.stated.effects.get(effect.name, {})
         neutral = EFFECTS.get(effect.name).neutral(judged.declared.stated)
         for place, parameter in enumerate(EFFECTS.get(effect.name).parameters):
-            value, std = effect.params[parameter.name], effect.std.get(parameter.name)
+            low, high = effect.interval.get(parameter.name, (None, None))
             rows.append(
                 {
                     "effect": effect.name,
                     "parameter": parameter.name,
                     "unit": parameter.unit,
                     "declared": declared.get(parameter.name, neutral[place]),
-                    "value": value,
-                    "low": None if std is None else value - 1.96 * std,
-                    "high": None if std is None else value + 1.96 * std,
+                    "value": effect.params[parameter.name],
+                    "low": low,
+                    "high": high,
                     "unknown": "not shown by these flights" if parameter.kind == "number" else "",
                     "confidence": effect.confidence,
                     "first": place == 0,
