@@ -3,6 +3,7 @@
 import os
 import threading
 import time
+from concurrent.futures import Future
 from math import inf
 
 import pytest
@@ -32,6 +33,22 @@ def cpu(monkeypatch: pytest.MonkeyPatch) -> wp.Device:
     monkeypatch.setattr(launches, "_begun", {})
     monkeypatch.setattr(launches, "_workers", COMPILING_THREADS)
     return wp.get_device("cpu")
+
+
+@pytest.fixture
+def idle(cpu: wp.Device, monkeypatch: pytest.MonkeyPatch) -> wp.Device:
+    """The same with threads that never compile: for tests of what is begun, and how."""
+    monkeypatch.setattr(launches, "_workers", Idle)
+    return cpu
+
+
+class Idle:
+    """Stands for the threads."""
+
+    def submit(self, *_: object, **__: object) -> Future[None]:
+        done: Future[None] = Future()
+        done.set_result(None)
+        return done
 
 
 def test_a_launch_waits_for_its_kernel_and_its_making_does_not(cpu: wp.Device, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -92,7 +109,7 @@ def test_a_forked_process_compiles_with_workers_of_its_own(cpu: wp.Device) -> No
     assert os.waitstatus_to_exitcode(ended[1]) == 7
 
 
-def test_what_an_empty_environment_does_not_need_is_not_compiled(cpu: wp.Device) -> None:
+def test_what_an_empty_environment_does_not_need_is_not_compiled(idle: wp.Device) -> None:
     """No obstacle is placed there and nothing can be touched: each of the two takes half a second or more to compile."""
     env = SimBuilder().build_env(
         sim_name="base_sim",
@@ -111,7 +128,7 @@ def test_what_an_empty_environment_does_not_need_is_not_compiled(cpu: wp.Device)
     assert not [name for name in names if "walk" in name or "placement" in name]
 
 
-def test_everything_is_compiled_with_the_same_flags(cpu: wp.Device) -> None:
+def test_everything_is_compiled_with_the_same_flags(idle: wp.Device) -> None:
     """Warp precompiles its headers for every set of flags anew, which takes longer than most kernels."""
     SimBuilder().build_env(
         sim_name="base_sim",
@@ -128,7 +145,7 @@ def test_everything_is_compiled_with_the_same_flags(cpu: wp.Device) -> None:
 
 
 def test_a_kernel_of_very_many_lines_is_not_searched_for_vectors(
-    cpu: wp.Device, monkeypatch: pytest.MonkeyPatch
+    idle: wp.Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It takes 8 lines for each column: of 400, 25 columns are few and 75 many."""
     monkeypatch.setattr(launches, "LONGEST_SEARCHED", 400)
@@ -143,4 +160,3 @@ def test_a_kernel_of_very_many_lines_is_not_searched_for_vectors(
         flags = rows.kernel.module.options["cpu_compiler_flags"].split()
         assert ("-fno-slp-vectorize" not in flags) == searched
         assert launches.NO_BFLOAT16 in flags
-        launches.wait_for(rows.kernel, cpu)
