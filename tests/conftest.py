@@ -29,7 +29,7 @@ from aerial_gym.interop import launches  # noqa: E402
 from aerial_gym.physics import warp_backend  # noqa: E402
 from aerial_gym.physics.fused.kernel import make_kernel  # noqa: E402
 from aerial_gym.robots import ROBOTS  # noqa: E402
-from aerial_gym.sensors import IMUS, SENSORS  # noqa: E402
+from aerial_gym.sensors import IMUS, SENSORS, imu  # noqa: E402
 from aerial_gym.sim2real.predict import replay  # noqa: E402
 from aerial_gym.task import (  # noqa: E402
     ACTIONS,
@@ -59,24 +59,28 @@ def has_adjoint(module: wp.Module) -> bool:
     return any(kernel.options.get("enable_backward", whole) for kernel in module.kernels.values())
 
 
-def follows_flights(module: wp.Module) -> bool:
-    """Return whether kernels follow measured flights: a loop launches them hundreds of times, each over thousands of steps."""
-    return any((kernel.func.__module__ or "").startswith(replay.__name__) for kernel in module.kernels.values())
+RUN_LONG = (replay.__name__, imu.__name__)
+"""Whose kernels run for longer than they are compiled: along flights, hundreds of times in a loop, and for records of IMUs."""
+
+
+def runs_long(module: wp.Module) -> bool:
+    """Return whether a kernel of a module is one of ``RUN_LONG``."""
+    return any((kernel.func.__module__ or "").startswith(RUN_LONG) for kernel in module.kernels.values())
 
 
 def set_level(module: wp.Module) -> None:
-    """Optimise a module as far as is wanted now; never what is so long that this takes minutes, always what follows flights.
+    """Optimise a module as far as is wanted now; never what is so long that this takes minutes, always what runs long.
 
     Rays are optimised without Warp's eager inlining, which makes them a tenth faster and takes three times as long, for each
     combination of images that tests ask for. What is not optimised keeps its loops and is for any CPU: compiled in two thirds
     of the time.
     """
     flags = _own_flags.setdefault(module, module.options["cpu_compiler_flags"])
-    rays, follows = "cast_by_tile" in module.name, follows_flights(module)
-    wanted = level_of_rays if rays else 0 if "-fno-slp-vectorize" in (flags or "") else None if follows else level
+    rays, long = "cast_by_tile" in module.name, runs_long(module)
+    wanted = level_of_rays if rays else 0 if "-fno-slp-vectorize" in (flags or "") else None if long else level
     if wanted == 0:
         flags = launches.NO_BFLOAT16
-    elif rays or follows:
+    elif rays or long:
         flags = f"-march=native {launches.NO_BFLOAT16}"
     unrolled = wp.config.max_unroll if wanted != 0 or has_adjoint(module) else 1
     module.options |= {"optimization_level": wanted, "cpu_compiler_flags": flags, "max_unroll": unrolled}
