@@ -62,9 +62,10 @@ CONSTANTS = (
     "evidence.fitting.ENOUGH",
     "evidence.fitting.BROAD",
     "evidence.search.MOST_STARTS",
-    "selection.climb.FAR_BEHIND",
+    "selection.view.FAR_BEHIND",
     "selection.climb.MOST_IN_VAIN",
     "selection.climb.MOST_RIVALS",
+    "selection.climb.SAME_DEVIATION",
     "selection.climb.SETTLED",
 )
 """Where they stand, in ``sim2real/identify``."""

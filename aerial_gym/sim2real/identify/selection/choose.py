@@ -19,9 +19,10 @@ from aerial_gym.sim2real.identify.evidence.probabilities import inclusion_in, pr
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_of_moments
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, flight_of_rows, time_groups
-from aerial_gym.sim2real.identify.selection.climb import Climber, View, occam_window
+from aerial_gym.sim2real.identify.selection.climb import Climber
 from aerial_gym.sim2real.identify.selection.in_part import RivalInPart, rivals_in_part
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
+from aerial_gym.sim2real.identify.selection.view import View, occam_window
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.progress import Progress, silent

@@ -20,7 +20,7 @@ from aerial_gym.sim2real.identify.evidence.fitting import ENOUGH, Compared, Fitt
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import WEAK_PRIOR
 from aerial_gym.sim2real.identify.least_squares.parameters import is_number, scales
-from aerial_gym.sim2real.identify.selection.climb import FAR_BEHIND, occam_window
+from aerial_gym.sim2real.identify.selection.view import FAR_BEHIND, occam_window
 from aerial_gym.sim2real.predict.model_params import ModelParams
 
 Array = NDArray[np.float64]

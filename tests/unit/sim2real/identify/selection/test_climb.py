@@ -12,7 +12,8 @@ from aerial_gym.sim2real.identify.evidence.fitting import Fitted
 from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.selection.climb import FAR_BEHIND, Climber, View, occam_window
+from aerial_gym.sim2real.identify.selection.climb import Climber
+from aerial_gym.sim2real.identify.selection.view import FAR_BEHIND, View, occam_window
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from tests.unit.sim2real.fitted_sets import Made, fitted
 
