@@ -8,18 +8,16 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from aerial_gym.config.robot import BatteryCfg, RobotCfg
 from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
+from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.logs.declared_rotors import drag_torques
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.replay.rotor_commands import missing_in_logs, too_steady
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.statistics import line_through
-
-Array = NDArray[np.float64]
 
 BLOCK_S = 0.5
 """Span of one mean [s]."""
@@ -57,7 +55,7 @@ def with_battery(robot: RobotCfg, flights: Sequence[Flight]) -> RobotCfg:
     return replace(robot, battery=BatteryCfg(**rounded, source=f"{source}; nominal voltage: {how}"))
 
 
-def _flying(flight: Flight) -> NDArray[np.bool_]:
+def _flying(flight: Flight) -> Flags:
     """Return the blocks in which the vehicle never stands, (blocks,)."""
     stood = np.zeros(flight.num_rows) if flight.on_ground is None else flight.on_ground.astype(np.float64)
     return _block_means(stood, flight.rate)[:, 0] == 0.0

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from torch import Tensor
 
@@ -19,11 +18,10 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.physics import build_model, vehicle_from_config
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.effects.learned_residual import network
+from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.identify.selection.scoring import Gain, LeftOut
 from aerial_gym.sim2real.predict.model_params import ModelParams, effects_at
 from aerial_gym.sim2real.predict.predictor import Predictor
-
-Array = NDArray[np.float64]
 
 OUTPUTS = tuple(f"{kind}.{axis}" for kind in ("specific_force", "angular_acceleration") for axis in "xyz")
 """Channels in the order of the network's outputs."""
@@ -211,7 +209,7 @@ class _Trainer:
         self._count = left_out.count.astype(int)
         self._fold = np.repeat(left_out.fold, self._count)
 
-    def keep(self, chosen: NDArray[np.bool_]) -> None:
+    def keep(self, chosen: Flags) -> None:
         """Leave all other outputs at zero."""
         self.outputs = [k for k, kept in zip(self.outputs, chosen, strict=True) if kept]
         self._size, self._targets = self._size[chosen], self._targets[:, torch.from_numpy(chosen)]

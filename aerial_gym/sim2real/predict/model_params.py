@@ -7,14 +7,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.model import EffectParams
-
-Array = NDArray[np.float64]
+from aerial_gym.sim2real.arrays import Array
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,11 +13,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.optimize import nnls
 
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import lowpass, lowpass_gain, welch
 from aerial_gym.sim2real.predict.channels import Channel
@@ -25,8 +25,6 @@ from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate, as_measured, estimate_rotors
 from aerial_gym.sim2real.predict.tolerances import Tolerances
-
-Array = NDArray[np.float64]
 
 WIDE_BAND = 0.4
 """The residual is taken up to this share of the rate,"""
@@ -128,7 +126,7 @@ def square_of_slow_rounding(
     return np.maximum(np.mean(squares, axis=0), 0.0)
 
 
-def rounded_anew(values: Array, rate: float, bandwidth: float, rows: slice | NDArray[np.bool_]) -> list[Array]:
+def rounded_anew(values: Array, rate: float, bandwidth: float, rows: slice | Flags) -> list[Array]:
     """Return a signal, and it as ``LOGS`` logs with steps as large as those of a log would hold it, (T, K) each.
 
     The signal moves in the band as the logged values (T, K) do. Above it is noise, as much as they have beyond that of

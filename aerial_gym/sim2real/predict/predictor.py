@@ -15,12 +15,12 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
 from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
 from aerial_gym.physics.effects import LoadEffect, RotorEffect, VehicleEffect, WindEffect, WrenchEffect
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams, effects_at, key_of
@@ -31,7 +31,6 @@ from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate, estim
 from aerial_gym.sim2real.predict.rows.together import Columns, Together
 from aerial_gym.sim2real.predict.tolerances import Tolerances, deviated, sensed
 
-Array = NDArray[np.float64]
 ADDED = (RotorEffect, WrenchEffect, WindEffect)
 """Effects of these kinds add thrust, force or wind; at neutral parameters a model is the same without them."""
 

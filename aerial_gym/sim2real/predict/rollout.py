@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.ndimage import convolve1d
 from torch import Tensor
 
@@ -29,6 +28,7 @@ from aerial_gym.physics.effects import CommandEffect, DelayEffect, FluidEffect, 
 from aerial_gym.physics.memory import Memory, make_memory, place_memory
 from aerial_gym.physics.model import EffectParams
 from aerial_gym.physics.rotor_lag import Ramp
+from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams, effects_at
 from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
@@ -39,8 +39,6 @@ from aerial_gym.sim2real.predict.rows.batches import expand_rows, one_row, with_
 from aerial_gym.sim2real.predict.scene import heights, other_along
 from aerial_gym.sim2real.predict.tolerances import Tolerances, deviated
 from aerial_gym.sim2real.predict.windows import FIRST_WINDOW_S, STEP_S, Windows, find_windows, same_rate
-
-Array = NDArray[np.float64]
 
 HORIZONS_S = (0.1, 0.5, 1.0, 2.0)
 """When a rollout is compared with the flight [s]."""
@@ -165,7 +163,7 @@ def _fit_together(models: Sequence[ModelParams], flights: Sequence[Flight]) -> b
     )
 
 
-def _effects_of(robot: RobotCfg, models: Sequence[ModelParams], model: NDArray[np.int64]) -> list[EffectParams]:
+def _effects_of(robot: RobotCfg, models: Sequence[ModelParams], model: Indices) -> list[EffectParams]:
     """Return the effects of models with the parameters in each window, (W, P), neutral where its ``model`` (W,) has none."""
     if len(models) == 1:
         return effects_at(models[0], model.size)
@@ -194,8 +192,8 @@ class Batch:
         vehicle: Vehicle,
         effects: Sequence[EffectParams],
         flights: Sequence[Flight],
-        flight: NDArray[np.int64],
-        row: NDArray[np.int64],
+        flight: Indices,
+        row: Indices,
         *,
         load: Array | None = None,
         settled: float = 1.0,
@@ -231,7 +229,7 @@ class Batch:
         return round(seconds * self._rate / self._stride)
 
     def fly(
-        self, state: BodyState, at: Collection[int], *, given_attitude: NDArray[np.bool_] | None = None
+        self, state: BodyState, at: Collection[int], *, given_attitude: Flags | None = None
     ) -> Iterator[tuple[int, BodyState, BodyState]]:
         """Yield the step, the state, and the state that was measured, at some numbers of steps after the start.
 
@@ -267,7 +265,7 @@ class Batch:
             rotor_speed=self._speed_at(rows),
         )
 
-    def _speed_at(self, rows: NDArray[np.int64]) -> Tensor:
+    def _speed_at(self, rows: Indices) -> Tensor:
         """Return true rotor speeds at a row of each window's flight [rad/s], (W, R): as measured, else as commands lead to."""
         if any(self._flights[index].rotor_speed is not None for index in np.unique(self._flight)):
             return self._true_speed(self._gather("rotor_speed", rows))
@@ -337,7 +335,7 @@ class Batch:
             measured = effect.true_speed(measured, params)
         return measured
 
-    def _gather(self, name: str, rows: NDArray[np.int64]) -> Tensor:
+    def _gather(self, name: str, rows: Indices) -> Tensor:
         """Return a quantity at rows (W,) or (W, any) of each window's flight, in one dimension more."""
         if name not in self._tables:
             self._tables[name] = _Table([self._along_flight(name, flight) for flight in self._flights], self._flight)
@@ -361,7 +359,7 @@ class Batch:
 class _Table:
     """A quantity along flights, for windows that look it up."""
 
-    def __init__(self, along: Sequence[Array], flight: NDArray[np.int64]) -> None:
+    def __init__(self, along: Sequence[Array], flight: Indices) -> None:
         """Take it along each flight, (T, any), and the flight of each window, (W,); what flights share stands once."""
         first, parts, length = dict[int, int](), list[Array](), 0
         for index in np.unique(flight):
@@ -373,7 +371,7 @@ class _Table:
         self._last = self._first + np.array([len(one) for one in along])[flight] - 1
         self._rows = torch.from_numpy(np.concatenate(parts))
 
-    def at(self, rows: NDArray[np.int64]) -> Tensor:
+    def at(self, rows: Indices) -> Tensor:
         """Return it at rows of each window's flight, (W,) or (W, any); after its end the last one."""
         shape = (-1, *[1] * (rows.ndim - 1))
         return self._rows[torch.from_numpy(np.minimum(self._first.reshape(shape) + rows, self._last.reshape(shape)))]

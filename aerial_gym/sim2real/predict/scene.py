@@ -9,12 +9,12 @@ from typing import TypedDict
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from aerial_gym.errors import DataError
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import LoadEffect, WindEffect
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight, names_of
 
 NEEDED = {
@@ -78,7 +78,7 @@ def heights(flights: Sequence[Flight], rows: Sequence[int]) -> Heights:
     }
 
 
-def other_along(flight: Flight) -> NDArray[np.float64]:
+def other_along(flight: Flight) -> Array:
     """Return the place of the other vehicle along a flight [m], world, (T, 3); far below where it is not known: no wake."""
     below = np.array([0.0, 0.0, -inf])
     if flight.other_position is None:

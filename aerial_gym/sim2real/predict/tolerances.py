@@ -12,12 +12,12 @@ from functools import cache
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from aerial_gym.config.robot import require_positive
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.physics import Vehicle
+from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.logs.clock_offset import LATE_S
 
 LAYOUT: dict[str, str | tuple[str, ...]] = {
@@ -101,9 +101,7 @@ class Tolerances:
         parts = [(name, part) for name, of in LAYOUT.items() for part in _parts_of(of, num_rotors)]
         return tuple(f"{name}_{part}" if part else name for name, part in parts)
 
-    def strained(
-        self, deviation: NDArray[np.float64], *, absent: Collection[str] = (), farthest: float = np.inf
-    ) -> list[str]:
+    def strained(self, deviation: Array, *, absent: Collection[str] = (), farthest: float = np.inf) -> list[str]:
         """Return a note for each of the (N,) deviations, in standard deviations, that a careful declaration would not have.
 
         Args:
@@ -188,7 +186,7 @@ class Deviated:
     """Angle of soft arms when a log begins, as a share of the one at which they would rest."""
 
 
-def deviated(declared: Vehicle, tolerances: Tolerances, deviation: NDArray[np.float64] | None) -> Deviated:
+def deviated(declared: Vehicle, tolerances: Tolerances, deviation: Array | None) -> Deviated:
     """Return what is flown with deviations (N,), in standard deviations; None: exactly what is declared."""
     if deviation is None:
         return Deviated(vehicle=declared, command_shift=0.0, joint_start=1.0)
@@ -278,7 +276,7 @@ def _sizes(number: int) -> list[int]:
     return [len(_parts_of(of, rotors)) for of in LAYOUT.values()]
 
 
-def of_logs(num_rotors: int) -> NDArray[np.bool_]:
+def of_logs(num_rotors: int) -> Flags:
     """Return which of the N tolerances belong to logs alone, (N,)."""
     return np.array([name in OF_LOGS for name, of in LAYOUT.items() for _ in _parts_of(of, num_rotors)])
 

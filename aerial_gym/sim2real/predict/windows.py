@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import DelayEffect
+from aerial_gym.sim2real.arrays import Indices
 from aerial_gym.sim2real.logs.flights import Flight
 
 STEP_S = 0.01
@@ -34,13 +34,13 @@ CLUSTER_S = 4.0
 class Windows:
     """Where rollouts start."""
 
-    flight: NDArray[np.int64]
+    flight: Indices
     """Index of the flight, (W,)."""
 
-    row: NDArray[np.int64]
+    row: Indices
     """Row of the log, (W,)."""
 
-    cluster: NDArray[np.int64]
+    cluster: Indices
     """Windows of one cluster overlap or follow each other, (W,)."""
 
 
@@ -69,7 +69,7 @@ def find_windows(
     return Windows(flight=flight_index, row=row, cluster=clusters)
 
 
-def same_rate(flights: Sequence[Flight], windows: Windows) -> list[NDArray[np.int64]]:
+def same_rate(flights: Sequence[Flight], windows: Windows) -> list[Indices]:
     """Return the windows whose flights have the same rate, for each rate."""
     rate = np.array([flights[index].rate for index in windows.flight])
     return [np.flatnonzero(rate == one) for one in np.unique(rate)]

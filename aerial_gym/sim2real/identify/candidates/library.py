@@ -7,10 +7,10 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance
 from aerial_gym.sim2real.identify.least_squares.derivatives import (
     Derivatives,
@@ -34,8 +34,6 @@ from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 Structures = Callable[[list[Array], dict[str, list[list[InChannels]]]], Sequence[Nuisance]]
 
 

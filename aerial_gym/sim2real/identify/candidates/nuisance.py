@@ -11,10 +11,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.candidates.structure import (
     IN_WORLD,
     CommonLines,
@@ -31,8 +31,6 @@ from aerial_gym.sim2real.identify.least_squares.weighted import InChannels
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.predictor import Predictor
-
-Array = NDArray[np.float64]
 
 FORCES = ("specific_force", "kinematic_force")
 """Kinds of channel in which an accelerometer is read."""

@@ -8,15 +8,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
+from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import welch
 from aerial_gym.sim2real.predict.channels import Channel
-
-Array = NDArray[np.float64]
 
 LEAST_SHARE = 0.3
 """A kind is named if it explains this share of the residual's variance on flights left out."""
@@ -108,7 +106,7 @@ def world_forces(flight: Flight, time: Array, residual: Array, channels: Sequenc
     return turned
 
 
-def rows_of(flight: Flight, time: Array) -> NDArray[np.int64]:
+def rows_of(flight: Flight, time: Array) -> Indices:
     """Return the rows of a flight at some times [s], (T,)."""
     return np.round(time * flight.rate).astype(int)
 

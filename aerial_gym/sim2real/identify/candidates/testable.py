@@ -2,20 +2,16 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.physics.model import check_joints, check_rotors
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.replay.rotor_commands import missing_in_logs, too_coarse, too_steady
 from aerial_gym.sim2real.predict.scene import lacks_of_air, lacks_of_scene
-
-Array = NDArray[np.float64]
 
 
 def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Flight] = ()) -> str:

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.candidates.library import Library, has_rotor, has_starts, neutral_of
 from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance, offsets_of
 from aerial_gym.sim2real.identify.candidates.testable import at_bounds
@@ -30,8 +30,6 @@ from aerial_gym.sim2real.identify.least_squares.weighted import Beside, Part
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-
-Array = NDArray[np.float64]
 
 Label = tuple[str, ...]
 """Names of a set's effects, with their rotor, and structures, sorted."""

@@ -16,17 +16,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.candidates.library import Library
 from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal, log_evidences, posterior
 from aerial_gym.sim2real.identify.evidence.linear import LinearFit, candidates_of, normal_of
 from aerial_gym.sim2real.identify.evidence.search import Sets
 from aerial_gym.sim2real.identify.least_squares.covariance import shown
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import WEAK_PRIOR
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 FEWEST_PARTS = 4
 """Between which the scatter is taken: fewer do not tell one."""

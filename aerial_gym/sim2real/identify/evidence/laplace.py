@@ -19,12 +19,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import get_lapack_funcs
 from scipy.special import log_ndtr
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from aerial_gym.sim2real.arrays import Array, Flags, Indices
+
 Model = tuple[int, ...]
 """Places of the candidates that are in a set, in rising order."""
 
@@ -303,7 +302,7 @@ def _one_less(model: Model) -> list[Model]:
     return [model[:place] + model[place + 1 :] for place in range(len(model))]
 
 
-def _most_probable(product: Array, gradient: Array, effects: NDArray[np.bool_], start: Array | None = None) -> Array:
+def _most_probable(product: Array, gradient: Array, effects: Flags, start: Array | None = None) -> Array:
     """Return the most probable steps (M, k) under the priors, by solving with their precision there until it is settled."""
     step, unit = np.zeros(gradient.shape) if start is None else start.copy(), np.eye(gradient.shape[1])
     moving = np.arange(len(gradient))
@@ -316,7 +315,7 @@ def _most_probable(product: Array, gradient: Array, effects: NDArray[np.bool_], 
     return step
 
 
-def _prior_precision(step: Array, effects: NDArray[np.bool_]) -> Array:
+def _prior_precision(step: Array, effects: Flags) -> Array:
     return np.where(effects, 2.0 / (1.0 + step**2), 1.0)
 
 
@@ -325,7 +324,7 @@ def _laplace(
     product: Array,
     gradient: Array,
     columns: Indices,
-    effects: NDArray[np.bool_],
+    effects: Flags,
     *,
     start: Array | None = None,
 ) -> tuple[Array, Array, Array]:

@@ -4,15 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.identify.candidates.library import Library
 from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, Fit, normal_equations
 from aerial_gym.sim2real.identify.least_squares.parameters import params_of, scales
-
-Array = NDArray[np.float64]
 
 
 def candidates_of(library: Library) -> Candidates:
@@ -80,7 +78,7 @@ def linear_about(fit: Fit, neutral: Sequence[Array]) -> LinearFit:
         )
     here, every = away[free], np.arange(fit.moments.count.size)
 
-    def normal(own: NDArray[np.int64]) -> Normal:
+    def normal(own: Indices) -> Normal:
         product, gradient = normal_equations(fit, UNIT, own)
         product, gradient = product[np.ix_(free, free)], gradient[free]
         square = float(fit.moments.square[own].sum())

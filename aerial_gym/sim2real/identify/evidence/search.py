@@ -13,12 +13,10 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal, log_evidences
-
-Array = NDArray[np.float64]
 
 
 @dataclass

@@ -6,12 +6,10 @@ Letters: B blocks, F flights, C channels, K parameters, P free parameters, N tol
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, best_step, normal_equations, prior_precision
 from aerial_gym.sim2real.statistics import FEWEST_FLIGHTS, half_width_of_scatter, normal_quantile
-
-Array = NDArray[np.float64]
 
 NORMAL_95 = normal_quantile(0.975)
 
@@ -20,7 +18,7 @@ NORMAL_95 = normal_quantile(0.975)
 class Uncertainty:
     """Spread of the P fitted parameters, in units of their scale or tolerance."""
 
-    columns: NDArray[np.int64]
+    columns: Indices
     """Which of the K parameters they are, (P,)."""
 
     step: Array
@@ -67,7 +65,7 @@ class Uncertainty:
         return np.clip(together / np.outer(deviation, deviation), -1.0, 1.0)
 
 
-def shown(covariance: Array) -> NDArray[np.bool_]:
+def shown(covariance: Array) -> Flags:
     """Return which parameters (P,) flights tell better than by their scale, the unit of their covariance (P, P).
 
     With weak priors, so that flights and tolerances alone tell; whatever the parameters may be.

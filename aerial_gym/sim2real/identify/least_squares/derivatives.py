@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.least_squares.parameters import bounds_of, is_number, params_of, scales, with_params
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import of_logs
-
-Array = NDArray[np.float64]
 
 Derivatives = Sequence[NDArray[np.floating]]
 """By some parameters, per scale, of each flight, (rows, C, P)."""

@@ -9,10 +9,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, effect_jacobian, exact_along
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_length, block_moments, of_flights
 from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets
@@ -22,8 +22,6 @@ from aerial_gym.sim2real.identify.least_squares.within_bounds import minimum_wit
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 UNIT = np.ones(1)
 """Weight of the moments of a fit that have the weights of the channels in them (``Beside.moments``)."""
 

@@ -4,12 +4,9 @@ Letters: B blocks, C channels, K parameters, N tolerances.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, normal_equations, solve_within
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 def steps_without(fit: Fit, weight: Array, free: Indices, label: Indices) -> Array:

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from aerial_gym.sim2real.arrays import Array, Indices
 
 BLOCK_S = 2.0
 """Length of a block [s]: several times longer than residuals remember."""
@@ -40,7 +39,7 @@ class Moments:
     product: Array
     """``sum J J^T``, (B, C, K, K)."""
 
-    flight: NDArray[np.int64]
+    flight: Indices
     """Which flight a block is from, (B,)."""
 
     def squares_after(self, step: Array) -> Array:
@@ -49,7 +48,7 @@ class Moments:
         change = np.einsum("bckl,bl->bck", self.product, step)
         return self.square - 2.0 * linear + np.einsum("bck,bk->bc", change, step)
 
-    def joined(self, label: NDArray[np.int64]) -> "Moments":
+    def joined(self, label: Indices) -> "Moments":
         """Return the sums over all blocks of one label, in the order of the labels; ``label`` is (B,)."""
         labels, first, place = np.unique(label, return_index=True, return_inverse=True)
 
@@ -71,7 +70,7 @@ def block_length(times: Sequence[Array]) -> float:
     return float(np.clip(total / ENOUGH_BLOCKS, SHORTEST_BLOCK_S, BLOCK_S))
 
 
-def folds(flight: NDArray[np.int64]) -> NDArray[np.int64]:
+def folds(flight: Indices) -> Indices:
     """Return what is left out together: the flight of each block, or the quarter of a single flight, (B,)."""
     if flight.max() > 0:
         return flight
@@ -79,13 +78,13 @@ def folds(flight: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.arange(flight.size) * parts // flight.size
 
 
-def block_rows(time: Array, length: float) -> list[NDArray[np.int64]]:
+def block_rows(time: Array, length: float) -> list[Indices]:
     """Return the rows of each block of about a ``length`` [s] of a flight whose rows are at these times [s]."""
     blocks = max(1, round(float(time[-1] - time[0]) / length))
     return np.array_split(np.arange(time.size), blocks)
 
 
-def time_groups(times: Sequence[Array]) -> NDArray[np.int64]:
+def time_groups(times: Sequence[Array]) -> Indices:
     """Return a number per row that is the same within a block of a flight, all flights in a row."""
     parts, start, length = [], 0, block_length(times)
     for time in times:
@@ -95,7 +94,7 @@ def time_groups(times: Sequence[Array]) -> NDArray[np.int64]:
     return np.concatenate(parts)
 
 
-def flight_of_rows(times: Sequence[Array]) -> NDArray[np.int64]:
+def flight_of_rows(times: Sequence[Array]) -> Indices:
     """Return the flight of each row, all flights in a row."""
     return np.repeat(np.arange(len(times)), [time.size for time in times])
 

@@ -13,9 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from aerial_gym.sim2real.arrays import Array
 
 
 @dataclass(frozen=True, kw_only=True)

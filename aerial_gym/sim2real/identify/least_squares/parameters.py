@@ -3,13 +3,11 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.predict.model_params import ModelParams
-
-Array = NDArray[np.float64]
 
 
 def is_number(effect: str, place: int) -> bool:

@@ -11,12 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, of_flights
 from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets, no_offsets
 from aerial_gym.sim2real.predict.nonzero import not_zero
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,8 +3,8 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, change_along, exact_along
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, best_step, fit_of_moments
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, weights_from
@@ -13,8 +13,6 @@ from aerial_gym.sim2real.identify.least_squares.weighted import weighted_moments
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-
-Array = NDArray[np.float64]
 
 
 def weighting(

@@ -4,10 +4,9 @@ Letters: K parameters.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-Array = NDArray[np.float64]
+from aerial_gym.sim2real.arrays import Array
 
 MOST_ROUNDS = 20
 """Of guessing which parameters end at their bounds, which nearly always takes two or three."""

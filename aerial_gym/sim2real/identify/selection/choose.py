@@ -7,9 +7,9 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.candidates.library import neutral_of, seen_candidates
 from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, Nuisance, functions_of
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted, Fitter, label_of
@@ -27,8 +27,6 @@ from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.statistics import Rise, rise_with_interval
-
-Array = NDArray[np.float64]
 
 STEADY = 0.2
 """Share of its mean by which an effect's size may follow a structure (rms) and still be called that effect."""

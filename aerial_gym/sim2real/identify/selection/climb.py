@@ -8,9 +8,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.candidates.library import Tangent, build_library, has_starts, tangents_about
 from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance, Nuisances, beyond_structures, most_of_flights
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted, Fitter, Label, label_in
@@ -27,8 +27,6 @@ from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.progress import Progress
-
-Array = NDArray[np.float64]
 
 MOST_IN_VAIN = 5
 """Sets that are fitted one after the other without one that is better."""

@@ -12,9 +12,9 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.identify.candidates.library import has_starts
 from aerial_gym.sim2real.identify.evidence.fitting import ENOUGH, Compared, Fitted, Fitter
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
@@ -22,9 +22,6 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import WEAK_PRIOR
 from aerial_gym.sim2real.identify.least_squares.parameters import is_number, scales
 from aerial_gym.sim2real.identify.selection.view import FAR_BEHIND, occam_window
 from aerial_gym.sim2real.predict.model_params import ModelParams
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,18 +6,16 @@ Letters: B blocks of time, C channels, K parameters.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from aerial_gym.errors import ConfigError
+from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit
 from aerial_gym.sim2real.identify.least_squares.leave_out import steps_without
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, folds
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.statistics import student_above
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 LEAST_SCORE = 3.0
 """Two models are told apart only by a log likelihood that differs so much: one is 20 times likelier.
@@ -111,7 +109,7 @@ class LeftOut:
     count: Array
     """Rows of each block of time, (B,)."""
 
-    flight: NDArray[np.int64]
+    flight: Indices
     """Which flight a block is from, (B,)."""
 
     weights: Weighting
@@ -185,16 +183,14 @@ class LeftOut:
             np.any(np.abs(_log_ratio(less.sum(axis=0), more.sum(axis=0))) > 2.0 * np.log1p(self.criteria.harmless))
         )
 
-    def _rises(self, less: Array, more: Array, count: Array) -> NDArray[np.bool_]:
+    def _rises(self, less: Array, more: Array, count: Array) -> Flags:
         """Return in which channels squares (B, C) rise by more than is harmless, than tolerances cause, than is forgiven."""
         return rises(
             less.sum(axis=0), more.sum(axis=0), count.sum(), self.weights.effective, self.tolerated, self.criteria
         )
 
 
-def rises(
-    less: Array, more: Array, rows: ArrayLike, effective: Array, tolerated: Array, criteria: Criteria
-) -> NDArray[np.bool_]:
+def rises(less: Array, more: Array, rows: ArrayLike, effective: Array, tolerated: Array, criteria: Criteria) -> Flags:
     """Return in which channels one sum of squares is harmfully larger than another, (..., C).
 
     Harmful is what is more than a small share of the residual, more than what the tolerances of the vehicle cause, and not

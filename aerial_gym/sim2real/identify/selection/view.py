@@ -3,9 +3,6 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
 from aerial_gym.sim2real.identify.candidates.library import Library
 from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance
 from aerial_gym.sim2real.identify.evidence.fitting import ENOUGH, Compared, Fitted, Fitter, Label, label_in
@@ -15,8 +12,6 @@ from aerial_gym.sim2real.identify.evidence.search import Sets
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.memory import give_back_memory
-
-Array = NDArray[np.float64]
 
 FAR_BEHIND = 3.0
 """Times ``occam_window`` that a set is behind another one of which it cannot take any of the probability: odds of 1e-4."""

@@ -13,18 +13,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from torch import Tensor
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.model import Model
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import DERIVED_BAND, Flight
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.replay.load_swing import swing
-
-Array = NDArray[np.float64]
 
 STEP_S = 0.02
 """Step of the integrator [s]; Runge-Kutta of order 4 follows a turn of 10 rad/s to 3e-6 of an angle each step."""

@@ -5,9 +5,7 @@ Letters: T rows, M remembered numbers, R rotors.
 
 from collections.abc import Iterator, Sequence
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from aerial_gym.physics.answers import Answers
@@ -16,6 +14,7 @@ from aerial_gym.physics.effects.by_kind import EffectsByKind
 from aerial_gym.physics.effects.track import Track
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.vehicle import Vehicle
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.rows.batches import one_row
 
@@ -41,7 +40,7 @@ def track_of(flight: Flight, vehicle: Vehicle, rotor_speed: Tensor, step: float,
 def remembered_along(
     model: Model,
     flights: Sequence[Flight],
-    speeds: Sequence[NDArray[np.float64] | None] | None,
+    speeds: Sequence[Array | None] | None,
     answers: Answers[Track],
     *,
     settled: float,
@@ -69,7 +68,7 @@ def remembered_along(
     }
 
 
-def true_speed(flight: Flight, model: Model, led: NDArray[np.float64] | None) -> Tensor:
+def true_speed(flight: Flight, model: Model, led: Array | None) -> Tensor:
     """Return the true rotor speeds in every row of a log [rad/s], (T, R): measured, else those that commands ``led`` to."""
     speed = led if flight.rotor_speed is None else flight.rotor_speed
     assert speed is not None

@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
@@ -21,11 +20,10 @@ from aerial_gym.physics import EFFECTS, Model, build_model
 from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect, VehicleEffect
 from aerial_gym.physics.effects.one_rotor import declared_lag
 from aerial_gym.physics.rotor_lag import stop_in_dead_band
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight, names_of
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.tolerances import Deviated
-
-Array = NDArray[np.float64]
 
 LEAST_VARIATION = 0.01
 """A voltage that varies by less than this share acts like a constant factor on the commands."""

@@ -8,16 +8,14 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from aerial_gym.physics import Model
 from aerial_gym.physics.effects import CommandEffect, DelayEffect, RotorSensorEffect
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.replay.rotor_commands import arriving_commands
 from aerial_gym.sim2real.predict.replay.rotor_lag import follow_commands
-
-Array = NDArray[np.float64]
 
 REMEMBERED = 8
 """Results kept; a fit asks for few different lags again and again."""

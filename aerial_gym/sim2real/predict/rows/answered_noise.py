@@ -18,17 +18,15 @@ Source:
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.control.effectiveness import allocation_matrix
 from aerial_gym.physics import Vehicle
 from aerial_gym.physics.rotors import rotor_thrust
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import lowpass_gain
 from aerial_gym.sim2real.predict.rows.spectra import density_of, noise_above
-
-Array = NDArray[np.float64]
 
 
 def seeming_torque(flight: Flight, declared: Vehicle, turning: Array, bandwidth: float) -> Array:

@@ -4,12 +4,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from aerial_gym.physics import Vehicle
 from aerial_gym.physics.model import Model, in_steady_wind
+from aerial_gym.sim2real.arrays import Indices
 from aerial_gym.sim2real.logs.flights import Flight
 
 MOST_ROWS = 16000
@@ -45,7 +44,7 @@ def expand_model(model: Model, rows: int) -> Model:
     )
 
 
-def with_known_wind(model: Model, flights: Sequence[Flight], flight: NDArray[np.int64]) -> Model:
+def with_known_wind(model: Model, flights: Sequence[Flight], flight: Indices) -> Model:
     """Return the model in the wind that was known in the flight of each row, on top of its own; ``flight`` is (E,)."""
     if all(f.wind is None for f in flights):
         return model

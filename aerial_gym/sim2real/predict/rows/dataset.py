@@ -8,12 +8,12 @@ from itertools import pairwise
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy import ndimage
 from torch import Tensor
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.math.quaternion import quat_rotate_inverse
+from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.logs.checks.conventions import body_rate_of
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass, lowpass_columns
@@ -21,8 +21,6 @@ from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.nonzero import not_zero
 from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate
 from aerial_gym.sim2real.predict.scene import heights, other_along
-
-Array = NDArray[np.float64]
 
 ROWS_PER_BAND = 5.0
 """Rows are evaluated at this many times the bandwidth."""
@@ -167,7 +165,7 @@ class Dataset:
             parts.append(lowpass(values, flight.rate, self.bandwidth, derivative=derivative)[self.kept[index]])
         return np.concatenate(parts, axis=1)
 
-    def _kept_rows(self, flight: Flight, stride: int, every_row: bool) -> NDArray[np.int64]:
+    def _kept_rows(self, flight: Flight, stride: int, every_row: bool) -> Indices:
         """Return the rows of the log at which residuals are kept: multiples of the stride, without the ends."""
         edge = edge_rows(flight.rate, self.bandwidth)
         start = edge if flight.rotor_command is None else max(edge, round(SETTLE_S * flight.rate))

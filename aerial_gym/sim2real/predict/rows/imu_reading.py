@@ -6,9 +6,7 @@ Letters: E rows, T rows kept.
 from collections import OrderedDict
 from dataclasses import dataclass
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_to_matrix
@@ -17,11 +15,12 @@ from aerial_gym.physics import Accelerations
 from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.physics.effects.imu_errors import imu_errors
 from aerial_gym.physics.model import Model
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.predict.rows.dataset import Dataset
 from aerial_gym.sim2real.predict.rows.in_band import InBand, Late, columns_of
 from aerial_gym.sim2real.predict.tolerances import Sensed
 
-Columns = list[NDArray[np.float64]]
+Columns = list[Array]
 
 READINGS = 3
 """Readings that are kept of what kinematics imply."""

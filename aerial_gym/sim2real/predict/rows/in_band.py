@@ -9,9 +9,7 @@ Letters: E rows, T rows kept, R rotors, K coefficients of a map.
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from aerial_gym.physics import Accelerations
@@ -19,9 +17,8 @@ from aerial_gym.physics.effects import WrenchEffect
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rigid_body import Acting
 from aerial_gym.physics.rotors import map_terms, rotor_matrix
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.predict.rows.dataset import Dataset
-
-Array = NDArray[np.float64]
 
 KEPT = 2
 """Results kept of each effect for each sensor, as many as answers (``physics.answers``)."""

@@ -25,7 +25,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
 from aerial_gym.config.robot import RobotCfg
@@ -33,13 +32,12 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.control.effectiveness import allocation_matrix
 from aerial_gym.physics import EFFECTS, Model, build_model, vehicle_from_config
 from aerial_gym.physics.effects import CommandEffect, DelayEffect, RotorSensorEffect, VehicleEffect
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import without_line
 from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params, effects_at
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rows.spectra import density_of, filtered, noise_above, segment_length
-
-Array = NDArray[np.float64]
 
 ORDER = (2, 3, 4, 5, 0, 1)
 """Forces and torques in the order in which combinations of rotors are found that make them: thrust, roll, pitch, yaw, then the

@@ -4,12 +4,10 @@ Letters: T rows, L lines of a spectrum, K columns.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.signals import hann, welch
-
-Array = NDArray[np.float64]
 
 SEGMENT_S = 2.0
 """Length of a segment of Welch's spectrum [s]."""

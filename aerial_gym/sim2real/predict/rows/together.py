@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
@@ -38,6 +37,7 @@ from aerial_gym.physics.rigid_body import (
     with_fluid,
     with_memory,
 )
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params, effects_at
 from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
@@ -50,7 +50,6 @@ from aerial_gym.sim2real.predict.rows.imu_reading import ImuReading, imu_of
 from aerial_gym.sim2real.predict.rows.in_band import InBand
 from aerial_gym.sim2real.predict.tolerances import Sensed, Tolerances, command_shift, deviate, joint_start, sensed
 
-Array = NDArray[np.float64]
 Columns = list[Array]
 """Channels, each (rows kept,): predictions that differ in some share the others."""
 
