@@ -287,6 +287,7 @@ def test_every_effect_flies_like_torch(effects: tuple[str, ...]) -> None:
     assert_same_flight(robot, CONTROLLERS.get("rotor_speed_control"), "rk4", effects=together, steps=steps)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("optimised")
 def test_all_effects_at_once_fly_like_torch() -> None:
     robot = lopsided_robot()

@@ -18,6 +18,7 @@ from aerial_gym.physics.state import JointedState, state_at_rest
 from aerial_gym.robots import ROBOTS
 from tests.cross.test_backends import DT, actions_for, build, scale_by_env, start_of
 from tests.physics.vehicles import ON_RIGID, lopsided_robot, random_network
+from tests.repetitions import thinned
 
 COUNTS = (1, 3, 4, 5, 63, 65, 130)
 MANY = 2048
@@ -72,7 +73,9 @@ def assert_rows_alike(
             assert torch.equal(found, expected), f"{name} among {count}"
 
 
-@pytest.mark.parametrize("controller", [name for name in CONTROLLERS.names() if CONTROLLERS.get(name).gains is None])
+@pytest.mark.parametrize(
+    "controller", thinned([name for name in CONTROLLERS.names() if CONTROLLERS.get(name).gains is None], 2)
+)
 def test_under_every_controller(controller: str) -> None:
     pose = CONTROLLERS.get(controller).law == "pose"
     assert_rows_alike(ROBOTS.get("base_octarotor") if pose else lopsided_robot(), controller, torch.float32)

@@ -181,7 +181,7 @@ AS_USERS_HAVE_IT = "everything, late"
 """The one whose kernel is optimised."""
 
 
-OFTEN = ("everything, late", "effects at hubs", "morphy")
+OFTEN = ("everything, late", "effects at hubs")
 """The parts of the other cases are theirs, but for some effects."""
 
 

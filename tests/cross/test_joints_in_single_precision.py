@@ -38,7 +38,7 @@ SNAKES = tuple(f"snakey{rods}{mode}" for rods in ("", "5", "6") for mode in ("",
 
 WITH_JOINTS = ("morphy", "morphy_creeping", "morphy_fixed_base", "tilt_tricopter", *SNAKES)
 
-OFTEN = ("morphy", "snakey")
+OFTEN = ("snakey",)
 
 
 def test_these_are_all_that_have_joints() -> None:

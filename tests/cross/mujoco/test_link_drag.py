@@ -14,6 +14,7 @@ from tests.cross.mujoco.test_trees import Theirs, level
 from tests.cross.test_link_drag import OF_ALL, fly, with_drag
 from tests.physics.articulated.test_link_drag import acting
 from tests.physics.articulated.trees import random_links, random_motion, random_tree
+from tests.repetitions import often
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[dev]'")
 G, SPAN, PROBE = 9.81, 0.05, 1e-6
@@ -75,7 +76,7 @@ def ours_at(tree: Tree, links: Links, state: TreeState, dt: float) -> np.ndarray
     return torch.cat((*free[:1], state.joint_pos, *free[1:], state.joint_vel), dim=-1)[0].numpy()
 
 
-@pytest.mark.parametrize("floating", [True, False])
+@pytest.mark.parametrize("floating", often([True, False], [True]))
 def test_trees_with_drag_in_wind_move_as_in_mujoco(floating: bool) -> None:
     """Both of order 1 in the drag, extrapolated."""
     tree = random_tree(4, 6, floating=floating)

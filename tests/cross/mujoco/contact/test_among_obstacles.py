@@ -33,6 +33,7 @@ def tops(sim) -> torch.Tensor:
     return torch.tensor((0.2, 0.4))[sim.asset_manager.scene.shape_index[:, 0].long()]
 
 
+@pytest.mark.slow
 def test_robots_stand_on_tables_of_their_environments(on_legs: str) -> None:
     """Where and as high as each reset draws them; after another seed as well, which gives environments other shapes."""
     sim, seen = build(on_legs, tables(LOW, HIGH)), set()

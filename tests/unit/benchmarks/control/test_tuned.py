@@ -34,6 +34,7 @@ def test_the_damping_of_a_sum_of_modes_is_that_of_its_slowest_pair() -> None:
     assert measured._damping_of(samples + quiet, 0.1) == pytest.approx(0.7, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_tuned_attitude_flies_as_asked_in_every_environment() -> None:
     """Lag and dead time, 24 to 36 and 10.4 to 15.6 ms, at steps of 10 ms; those of another environment miss the damping."""
     made = tuned(IDENTIFIED, ASKED, num_envs=3, dt=0.01)

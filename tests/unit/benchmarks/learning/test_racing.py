@@ -30,6 +30,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> BenchRacing:
     return BenchRacing(policy=Path("nowhere"), levels=("racing_task",), num_envs=21)
 
 
+@pytest.mark.slow
 def test_a_level_is_flown_20_times_and_as_often_as_wanted(
     bench: BenchRacing, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -48,6 +48,7 @@ def test_a_controller_that_holds_nothing_is_refused() -> None:
     assert found.refused == "commands rotors, and holds nothing"
 
 
+@pytest.mark.slow
 def test_a_tail_flies_on_its_servo_and_one_that_leans_the_wrong_way_does_not_rest(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
