@@ -179,7 +179,9 @@ class Climber:
             about.forget_beside()
             fitter = self.fitter_about(fitted.within, about.weights)
             before, fitted = fitted.deviation, fitter.again(fitted, about)
-            if np.abs(fitted.deviation - before).max(initial=0.0) < SAME_DEVIATION:
+            if not fitted.deviation.size:  # it went nowhere
+                break
+            if np.abs(fitted.deviation - before).max() < SAME_DEVIATION:
                 break
             about = fitter
         return fitted, fitter

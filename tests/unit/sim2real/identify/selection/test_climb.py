@@ -12,7 +12,7 @@ from aerial_gym.sim2real.identify.evidence.fitting import Fitted
 from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.selection.climb import Climber
+from aerial_gym.sim2real.identify.selection.climb import MOST_TURNS, Climber
 from aerial_gym.sim2real.identify.selection.view import FAR_BEHIND, View, occam_window
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from tests.unit.sim2real.fitted_sets import Made, fitted
@@ -143,6 +143,35 @@ def test_rivals_are_fitted_once_weights_have_settled(weights: tuple[float, ...],
     climber = Going(*weights)
     climber.run()
     assert climber.gone == gone
+
+
+@pytest.mark.parametrize(
+    ("deviations", "turns"),
+    [((0.0, 0.4), 1), ((0.0, 1.4, 1.8), 2), ((0.0, 1.0, 0.4, 1.0, 0.4, 1.0), MOST_TURNS), ((0.0, 1.4, None), 2)],
+    ids=["stays", "moves once", "never stays", "goes nowhere"],
+)
+def test_a_set_is_fitted_about_itself_until_its_deviations_stay(
+    deviations: tuple[float | None, ...], turns: int
+) -> None:
+    """Each fit about the deviations of the one before; where a prediction is not finite there are none."""
+    fits = [replace(fitted(), deviation=np.zeros(0) if one is None else np.array([one, 0.2])) for one in deviations]
+    number, about = 0, list[ModelParams]()
+
+    def again(before: Fitted, _: object) -> Fitted:
+        nonlocal number
+        assert before is fits[number]
+        number += 1
+        return fits[number]
+
+    def fitter_about(params: ModelParams, _: object) -> Any:
+        about.append(params)
+        return SimpleNamespace(again=again, forget_beside=lambda: None, weights=None)
+
+    climber, first = SimpleNamespace(fitter_about=fitter_about), fitter_about(ModelParams(), None)
+    found, _ = Climber.about_itself(cast("Any", climber), fits[0], first)
+    assert found is fits[turns]
+    for params, one in zip(about[1:], fits[:turns], strict=True):
+        np.testing.assert_array_equal(params.deviation, one.deviation)
 
 
 def test_a_set_that_does_not_hold_under_new_weights_is_left_for_what_holds_of_it() -> None:
