@@ -129,7 +129,7 @@ def make_loop(
         low = speed_of(params, params.low)
         high = speed_of(params, params.high)
         throttle = speed_of(params, limited(params, thrust))
-        mean = 0.0
+        mean = wp.float32(0.0)
         for i in range(wp.static(num_rotors)):
             throttle[i] = (throttle[i] - low[i]) / (high[i] - low[i])
             mean += throttle[i] / wp.static(float(num_rotors))
