@@ -212,7 +212,7 @@ def make_allot(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
     @wp.func
     def clamped(params: command_type, wanted: wp.spatial_vector):
         thrust = params.allocation * wanted
-        given = 1.0
+        given = wp.float32(1.0)
         for i in range(wp.static(num_rotors)):
             if thrust[i] < params.low[i] or thrust[i] > params.high[i]:
                 given = 0.0
