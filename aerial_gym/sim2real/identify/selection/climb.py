@@ -173,18 +173,23 @@ class Climber:
     def about_itself(self, fitted: Fitted, about: Fitter) -> tuple[Fitted, Fitter]:
         """Return a set fitted with the tolerances linear about itself, until its deviations stay, and what fits it there.
 
-        About a model on time, sensors that are 6 ms late are so in part; what is left looks like a delay of the commands.
+        About a model on time, sensors that are 6 ms late are so in part; what is left looks like a delay of the commands. Where
+        a turn moves them further than the one before, as of late noise, turns lead away, and the one before is the last.
         """
+        last = np.inf
         for _ in range(MOST_TURNS):
             about.forget_beside()
             fitter = self.fitter_about(fitted.within, about.weights)
-            before, fitted = fitted.deviation, fitter.again(fitted, about)
-            if not fitted.deviation.size:  # it went nowhere
+            again = fitter.again(fitted, about)
+            if not again.deviation.size:  # it went nowhere
+                return again, fitter
+            moved = float(np.abs(again.deviation - fitted.deviation).max())
+            if moved > last:
                 break
-            if np.abs(fitted.deviation - before).max() < SAME_DEVIATION:
+            fitted, about, last = again, fitter, moved
+            if moved < SAME_DEVIATION:
                 break
-            about = fitter
-        return fitted, fitter
+        return fitted, about
 
     def fit_probable(self, view: View) -> None:
         """Fit the sets that are probable about a model.

@@ -147,15 +147,24 @@ def test_rivals_are_fitted_once_weights_have_settled(weights: tuple[float, ...],
 
 @pytest.mark.parametrize(
     ("deviations", "turns"),
-    [((0.0, 0.4), 1), ((0.0, 1.4, 1.8), 2), ((0.0, 1.0, 0.4, 1.0, 0.4, 1.0), MOST_TURNS), ((0.0, 1.4, None), 2)],
-    ids=["stays", "moves once", "never stays", "goes nowhere"],
+    [
+        ((0.0, 0.4), 1),
+        ((0.0, 1.4, 1.8), 2),
+        ((0.0, 1.0, 0.4, 1.0, 0.4, 1.0), MOST_TURNS),
+        ((0.0, 1.0, 0.4, 2.0), 2),
+        ((0.0, 1.4, None), 2),
+    ],
+    ids=["stays", "moves once", "never stays", "leads away", "goes nowhere"],
 )
 def test_a_set_is_fitted_about_itself_until_its_deviations_stay(
     deviations: tuple[float | None, ...], turns: int
 ) -> None:
-    """Each fit about the deviations of the one before; where a prediction is not finite there are none."""
+    """Each fit about the deviations of the one before; where a prediction is not finite there are none.
+
+    A turn that moves them further than the one before is not taken.
+    """
     fits = [replace(fitted(), deviation=np.zeros(0) if one is None else np.array([one, 0.2])) for one in deviations]
-    number, about = 0, list[ModelParams]()
+    number, about, fitters = 0, list[ModelParams](), list[Any]()
 
     def again(before: Fitted, _: object) -> Fitted:
         nonlocal number
@@ -165,12 +174,14 @@ def test_a_set_is_fitted_about_itself_until_its_deviations_stay(
 
     def fitter_about(params: ModelParams, _: object) -> Any:
         about.append(params)
-        return SimpleNamespace(again=again, forget_beside=lambda: None, weights=None)
+        fitters.append(SimpleNamespace(again=again, forget_beside=lambda: None, weights=None))
+        return fitters[-1]
 
     climber, first = SimpleNamespace(fitter_about=fitter_about), fitter_about(ModelParams(), None)
-    found, _ = Climber.about_itself(cast("Any", climber), fits[0], first)
+    found, fitter = Climber.about_itself(cast("Any", climber), fits[0], first)
     assert found is fits[turns]
-    for params, one in zip(about[1:], fits[:turns], strict=True):
+    assert fitter is fitters[turns]
+    for params, one in zip(about[1:], fits[:number], strict=True):
         np.testing.assert_array_equal(params.deviation, one.deviation)
 
 
