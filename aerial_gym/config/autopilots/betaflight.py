@@ -1,9 +1,8 @@
 """Parameters of Betaflight's rate loop, by the names of its command line, and of its Configurator for rates.
 
-Source: Betaflight 4.5, its documentation (betaflight.com/docs: CLI reference, PID tuning tab, I-term relax, mixer types, tuning
-notes of 4.0 to 4.3); none of its code was read. What a gain of 1 is worth: the scale factors that the crate protoflight 0.1.4
-gives as compatible with Betaflight's (docs.rs). Gains that are left out are derived from the vehicle
-(``control.betaflight.parameters``).
+Source: Betaflight 4.5: its documentation (betaflight.com/docs: CLI reference, PID tuning tab, I-term relax, mixer types, tuning
+notes of 4.0 to 4.3) and its source, looked up for single facts (``pid.h``, ``pid_init.c``, ``pid.c``, ``mixer.c``, ``rc.c``).
+No code was copied. Gains that are left out are derived from the vehicle (``control.betaflight.parameters``).
 """
 
 from dataclasses import dataclass
@@ -21,8 +20,11 @@ SCALES = {
     "d": 0.000529 * PER_DEGREE,
     "f": 0.013754 / 100.0 * PER_DEGREE,
 }
-"""What 1 in ``p_roll``, ``i_roll``, ``d_roll``, ``f_roll`` is worth: share of the motors' range per rad/s, rad, rad/s² and
-rad/s² of the setpoint. Of f in percent, as its defaults are; by this size they fly."""
+"""Unit of ``p_roll``, ``i_roll``, ``d_roll``, ``f_roll``: share of the motors' range per rad/s, rad, rad/s² and rad/s² of the
+setpoint. Source: Betaflight 4.5, ``pid.h``; a hundredth for f, ``pid_init.c``."""
+
+YAW_INTEGRAL = 2.5
+"""Factor on the unit of ``i_yaw``. Source: Betaflight 4.3 to 4.6, ``pid_init.c``, without ``use_integrated_yaw``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,8 +100,8 @@ class BetaflightCfg(Tuned):
     """Largest integral, in thousandths of the motors' range."""
 
     iterm_windup: float = 85.0
-    """Share of the motors' range that corrections use from which the integral grows more slowly [%], to not at all at 100;
-    100 switches it off."""
+    """Range of the corrections from which the integral of yaw slows down [% of the motors' range]; it stops at 100 %.
+    100 switches this off. Roll and pitch are not affected, as in Betaflight 4.2 to 4.5."""
 
     iterm_relax: str = "RP"
     """Axes on which the integral rests while the wanted rate changes: OFF, RP (roll and pitch) or RPY."""
@@ -123,7 +125,8 @@ class BetaflightCfg(Tuned):
     """Throttle from which it begins, 1000 to 2000."""
 
     airmode: bool = True
-    """Whether corrections keep their size at low throttle, which then rises as far as they need."""
+    """Whether corrections keep their size at low throttle. Without it they shrink below half throttle, to a half at zero
+    throttle, where the integrals are also held at zero."""
 
     source: str = "Derived: aerial_gym.control.betaflight.parameters"
     """Where the numbers come from."""

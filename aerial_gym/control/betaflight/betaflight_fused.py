@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import warp as wp
 
 from aerial_gym.config.autopilots.betaflight import BetaflightCfg
-from aerial_gym.control.betaflight.loop import RELAXED_FROM
+from aerial_gym.control.betaflight.loop import RATE_LIMIT, RELAXED_FROM, THROTTLE_STEP
 from aerial_gym.control.cascade_fused import make_remembering, make_two_levels
 from aerial_gym.control.filters.biquad_fused import make_filter
 from aerial_gym.control.lee_fused import read_vec3, write_vec3
@@ -81,7 +81,8 @@ def make_wish(rates_type: str) -> wp.Function:
         for i in range(3):
             x = wp.clamp(action[1 + i], -1.0, 1.0)
             bent = wp.abs(x) * (gains.expo[i] * x * x * x * x * x + (1.0 - gains.expo[i]) * x)
-            wanted[1 + i] = gains.center[i] * x + wp.max(gains.largest[i] - gains.center[i], 0.0) * bent
+            rate = gains.center[i] * x + wp.max(gains.largest[i] - gains.center[i], 0.0) * bent
+            wanted[1 + i] = wp.clamp(rate, -wp.static(RATE_LIMIT), wp.static(RATE_LIMIT))
         return wanted
 
     return sticks if rates_type == "ACTUAL" else rates
@@ -133,15 +134,18 @@ def make_loop(
         for i in range(wp.static(num_rotors)):
             throttle[i] = (throttle[i] - low[i]) / (high[i] - low[i])
             mean += throttle[i] / wp.static(float(num_rotors))
+        resets = wp.static(not own.airmode) and mean < wp.static(THROTTLE_STEP)
         weaker = 1.0 - wp.static(tpa) * wp.clamp((mean - wp.static(tpa_from)) / wp.static(1.0 - tpa_from), 0.0, 1.0)
         correction = wp.vec3()
         for i in range(3):
-            share = room
+            share = wp.float32(1.0)
+            if i == 2:
+                share = room
             if i < wp.static(relaxed):
                 share *= wp.max(1.0 - wp.abs(wanted[i] - eased[i]) / wp.static(RELAXED_FROM), 0.0)
             integral = arrays.numbers[i, env] + share * gains.integral[i] * error[i] * span
             integral = wp.clamp(integral, -gains.integral_limit[i], gains.integral_limit[i])
-            arrays.numbers[i, env] = integral
+            arrays.numbers[i, env] = wp.where(resets, 0.0, integral)
             part = gains.rate[i] * error[i]
             if wp.static(of_error):
                 part *= weaker
@@ -167,18 +171,18 @@ def make_mixer(num_rotors: int, airmode: bool) -> wp.Function:
 
     @wp.func
     def mix_motors(throttle: vector, mix: vector):
-        lowest = wp.min(mix)
-        used = wp.max(mix) - lowest
-        signal = throttle + mix
-        up = 0.0
-        if wp.static(airmode):
-            up = wp.max(-wp.min(signal), 0.0)
+        used = wp.max(wp.max(mix), 0.0) - wp.min(wp.min(mix), 0.0)
+        scale = 1.0 / wp.max(used, 1.0)
+        if wp.static(not airmode):
+            mean = wp.float32(0.0)
+            for i in range(wp.static(num_rotors)):
+                mean += throttle[i] / wp.static(float(num_rotors))
+            scale *= wp.clamp(0.5 + mean, 0.5, 1.0)
+        signal = throttle + scale * mix
+        up = wp.max(-wp.min(signal), 0.0)
         down = wp.max(wp.max(signal) + up - 1.0, 0.0)
         for i in range(wp.static(num_rotors)):
-            value = signal[i] + up - down
-            if used > 1.0:
-                value = (mix[i] - lowest) / used
-            signal[i] = wp.clamp(value, 0.0, 1.0)
+            signal[i] = wp.clamp(signal[i] + up - down, 0.0, 1.0)
         return signal, used
 
     return mix_motors

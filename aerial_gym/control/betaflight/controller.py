@@ -4,8 +4,9 @@
 
 The throttle of an action is one of thrust, as that of other controllers: 0 holds the weight. A motor signal from 0 to 1 stands
 for a share of the way from the lowest to the highest speed.
-Not modelled: notch and RPM filters, dynamic cut-offs, D max, anti-gravity, throttle boost, the filters of stick and of yaw,
-idle, and the battery.
+Not modelled: notch and RPM filters, dynamic cut-offs, PT2 and PT3 filters, the low-pass of yaw P, D max, anti-gravity,
+throttle boost, stick smoothing, TPA below ``tpa_low_breakpoint``, thrust linearisation, dynamic idle, yaw spin recovery, and
+the battery. TPA acts on the run whose throttle it follows; the firmware's acts one run later.
 Frames: body x forward, y left, z up. Betaflight's are others: signs change, and the law does not.
 Letters: E environments, R rotors, M remembered numbers.
 """
@@ -21,7 +22,7 @@ from aerial_gym.config.autopilots.betaflight import BetaflightCfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.betaflight import betaflight_fused
-from aerial_gym.control.betaflight.loop import actual_rate, integral_share, mixed, weakening
+from aerial_gym.control.betaflight.loop import THROTTLE_STEP, actual_rate, integral_share, mixed, weakening
 from aerial_gym.control.betaflight.parameters import filters_of, parameters_of, require_fit
 from aerial_gym.control.filters.biquad import filtered
 from aerial_gym.control.gains import autopilot_of
@@ -35,7 +36,7 @@ from aerial_gym.physics.vehicle import Vehicle
 
 PARTS = (3, 6, 6, 6, 6, 3, 3, 3, 1)
 """What it remembers: integral; inner values of the two filters of body rates and of the two of the derivative; filtered rate
-for the derivative, low-pass of the wanted rate, and wanted rate of the run before; share of the motors' range that it used."""
+for the derivative, low-pass of the wanted rate, and wanted rate of the run before; range of the corrections."""
 
 STICKS = ("thrust (0 is hover) [-]", "roll stick, -1 to 1 [-]", "pitch stick [-]", "yaw stick [-]")
 
@@ -102,6 +103,8 @@ class BetaflightController(RememberingController):
         correction = gains.mix * _held(correction, gains.limit)
         mix = (self.allocation.inverse[..., 3:] * correction.unsqueeze(1)).sum(-1)
         signal, used = mixed(throttle, mix, airmode=own.airmode)
+        if not own.airmode:  # the firmware resets the integrals after each run at zero throttle
+            integral = torch.where(throttle.mean(-1, keepdim=True) < THROTTLE_STEP, 0.0, integral)
         return self._low + self._span * signal, torch.cat((integral, *inners, rate, eased, wanted, used), dim=-1)
 
     def _signal(self, speed: Tensor) -> Tensor:

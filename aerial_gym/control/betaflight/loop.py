@@ -11,62 +11,71 @@ import torch
 from torch import Tensor
 
 RELAXED_FROM = radians(40.0)
-"""Change of the wanted rate at which the integral rests [rad/s]. That it rests then is documented; the 40 deg/s are not."""
+"""High-passed setpoint at which I-term relax stops the integral [rad/s]. Source: Betaflight 4.5, ``pid.c``, 40 deg/s."""
+
+RATE_LIMIT = radians(1998.0)
+"""Largest rate that sticks can ask for [rad/s]. Source: Betaflight 4.5, ``rc.c``, 1998 deg/s."""
+
+THROTTLE_STEP = 0.001
+"""Resolution of the throttle command [-]; a smaller throttle is zero. Source: Betaflight 4.5, ``rc.c``, 1000 to 2000 us."""
 
 
 def actual_rate(stick: Tensor, center: Tensor, largest: Tensor, expo: Tensor) -> Tensor:
-    """Return the rate that a stick asks for: ``c x + max(m - c, 0) |x| (e x⁵ + (1 - e) x)``.
+    """Return the rate that a stick asks for: ``c x + max(m - c, 0) |x| (e x⁵ + (1 - e) x)``, at most ``RATE_LIMIT``.
 
     Args:
         stick: x, -1 to 1, (E, 3).
-        center: c, rate per stick about the centre, (E, 3).
-        largest: m, rate at full stick, in the unit of ``center``, (E, 3).
+        center: c, rate per stick about the centre [rad/s], (E, 3).
+        largest: m, rate at full stick [rad/s], (E, 3).
         expo: e, 0 to 1, (E, 3).
 
     Source:
-        Betaflight's Actual rates: slope at the centre, rate at full stick, and a bend between that leaves both. The fifth power
-        is not in its documentation and was not checked against the firmware.
+        Betaflight 4.5, Actual rates: ``rc.c``, ``applyActualRates``.
     """
     bent = stick.abs() * (expo * stick**5 + (1.0 - expo) * stick)
-    return center * stick + (largest - center).clamp_min(0.0) * bent
+    return (center * stick + (largest - center).clamp_min(0.0) * bent).clamp(-RATE_LIMIT, RATE_LIMIT)
 
 
 def integral_share(change: Tensor, used: Tensor, windup: float) -> Tensor:
-    """Return at which share of its speed an integral grows, (E, 3), 0 to 1.
+    """Return the factor on the growth of the integrals, (E, 3), 0 to 1.
 
     Args:
-        change: How far the wanted rate is from its low-pass [rad/s], (E, 3); 0 where the integral is not relaxed.
-        used: Share of the motors' range that the corrections of the run before used, (E, 1).
-        windup: Share from which it slows down; 1 for never.
+        change: Setpoint minus its low-pass [rad/s], (E, 3); 0 on axes without I-term relax.
+        used: Range of the corrections of the run before, as a share of the motors' range, (E, 1).
+        windup: Range from which the integral of yaw slows down; 1 for never.
+
+    Source:
+        Betaflight 4.3 to 4.5, ``pid.c``: I-term relax by the setpoint; ``iterm_windup`` acts on yaw alone (pull request 9597).
     """
     rest = (1.0 - change.abs() / RELAXED_FROM).clamp_min(0.0)
     if windup >= 1.0:
         return rest
-    return rest * ((1.0 - used) / (1.0 - windup)).clamp(0.0, 1.0)
+    room = ((1.0 - used) / (1.0 - windup)).clamp(0.0, 1.0)
+    return torch.cat((rest[:, :2], rest[:, 2:] * room), dim=-1)
 
 
 def mixed(throttle: Tensor, mix: Tensor, *, airmode: bool) -> tuple[Tensor, Tensor]:
-    """Return motor signals, 0 to 1, (E, R), and the share of the range that the corrections use, (E, 1).
+    """Return motor signals, 0 to 1, (E, R), and the range of the corrections, (E, 1).
 
-    Corrections that need more than the range are made smaller, all alike, and then fill it. Else, at full throttle it gives
-    way to them, and with airmode also at low throttle: the differences between the motors stay.
+    Corrections that need more than the motors' range are scaled down to it. Without airmode they are scaled further:
+    by a half at zero throttle, linearly less up to half throttle. The throttle then moves until no motor is beyond a limit.
 
     Args:
-        throttle: Signals without corrections, (E, R).
+        throttle: Signals without corrections, (E, R); their mean is the throttle.
         mix: Corrections, (E, R).
-        airmode: Whether low throttle rises.
+        airmode: Whether corrections keep their size at low throttle.
 
     Source:
-        Betaflight's guides on airmode and mixer types (LEGACY), which tell in words what is kept when motors saturate.
+        Betaflight 4.3 to 4.5, mixer type LEGACY: ``mixer.c``, ``applyMixerAdjustment``.
     """
-    lowest, highest = mix.amin(-1, keepdim=True), mix.amax(-1, keepdim=True)
-    used = highest - lowest
-    filling = (mix - lowest) / used.clamp_min(1.0)
-    signal = throttle + mix
-    if airmode:
-        signal = signal + (-signal.amin(-1, keepdim=True)).clamp_min(0.0)
+    used = mix.amax(-1, keepdim=True).clamp_min(0.0) - mix.amin(-1, keepdim=True).clamp_max(0.0)
+    scaled = mix / used.clamp_min(1.0)
+    if not airmode:
+        scaled = scaled * (0.5 + throttle.mean(-1, keepdim=True)).clamp(0.5, 1.0)
+    signal = throttle + scaled
+    signal = signal + (-signal.amin(-1, keepdim=True)).clamp_min(0.0)
     signal = signal - (signal.amax(-1, keepdim=True) - 1.0).clamp_min(0.0)
-    return torch.where(used > 1.0, filling, signal).clamp(0.0, 1.0), used
+    return signal.clamp(0.0, 1.0), used
 
 
 def weakening(throttle: Tensor, rate: float, breakpoint: float) -> Tensor:

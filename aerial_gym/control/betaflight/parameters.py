@@ -9,7 +9,7 @@ from math import radians
 import torch
 from torch import Tensor
 
-from aerial_gym.config.autopilots.betaflight import SCALES, BetaflightCfg
+from aerial_gym.config.autopilots.betaflight import SCALES, YAW_INTEGRAL, BetaflightCfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.effectiveness import allocation_matrix
@@ -121,7 +121,9 @@ def parameters_of(
 
     def gain(name: str) -> Tensor:
         given = [getattr(own, f"{name}_{axis}") for axis in AXES]
-        return row([derived[name][k] if g is None else SCALES[name] * g for k, g in enumerate(given)])
+        unit = [SCALES[name]] * 3
+        unit[2] *= YAW_INTEGRAL if name == "i" else 1.0
+        return row([derived[name][k] if g is None else unit[k] * g for k, g in enumerate(given)])
 
     def of(name: str, unit: float = 1.0) -> Tensor:
         return row([unit * getattr(own, f"{axis}_{name}") for axis in AXES])

@@ -268,6 +268,10 @@ CASES = {
         replace(CONTROLLERS.get("betaflight_rate_control"), rate_hz=50.0, delay=0.014, betaflight=TUNED),
         (),
     ),
+    "Betaflight without airmode": (
+        replace(CONTROLLERS.get("betaflight_rate_control"), betaflight=replace(TUNED, i_yaw=80.0, airmode=False)),
+        (),
+    ),
     "all of Mellinger": (
         replace(
             CONTROLLERS.get("crazyflie_mellinger_control"), rate_hz=250.0, action_delay=0.004, mellinger=EVERY_MELLINGER

@@ -15,6 +15,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller
 from aerial_gym.control.betaflight.controller import BetaflightController
 from aerial_gym.control.betaflight.loop import actual_rate, integral_share, mixed, weakening
+from aerial_gym.control.stability import ClosedLoop
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import BodyState, state_at_rest, vehicle_from_config
 from aerial_gym.physics.law_memory import LawMemory, fresh_law_memory
@@ -60,14 +61,17 @@ def run(
 def test_actual_rates_are_those_of_the_public_calculators() -> None:
     """Default 70, 670, 0: 35 + 600 / 4 = 185 deg/s at half stick, 670 at full; expo 0.5 halves the square and adds x⁶ / 2."""
     stick = torch.tensor([[0.5, 1.0, -0.5]], dtype=F64)
-    center, largest = (torch.full((1, 3), value, dtype=F64) for value in (70.0, 670.0))
-    found = actual_rate(stick, center, largest, torch.zeros(1, 3, dtype=F64))
+    center, largest = (torch.full((1, 3), radians(value), dtype=F64) for value in (70.0, 670.0))
+    found = actual_rate(stick, center, largest, torch.zeros(1, 3, dtype=F64)).rad2deg()
     torch.testing.assert_close(found, torch.tensor([[185.0, 670.0, -185.0]], dtype=F64))
-    bent = actual_rate(stick, center, largest, torch.full((1, 3), 0.5, dtype=F64))
+    bent = actual_rate(stick, center, largest, torch.full((1, 3), 0.5, dtype=F64)).rad2deg()
     half = 35.0 + 600.0 * (0.5 * 0.25 + 0.5 * 0.5**6)
     torch.testing.assert_close(bent, torch.tensor([[half, 670.0, -half]], dtype=F64))
+    fast = torch.full((1, 3), 3000.0 * pi / 180.0, dtype=F64)  # beyond the firmware's 1998 deg/s
+    limited = actual_rate(torch.tensor([[1.0, -1.0, 0.5]], dtype=F64), 0.0 * fast, fast, torch.zeros(1, 3, dtype=F64))
+    torch.testing.assert_close(limited, torch.tensor([[1998.0, -1998.0, 750.0]], dtype=F64) * pi / 180.0)
     tiny = actual_rate(1e-6 * torch.ones(1, 3, dtype=F64), center, largest, torch.zeros(1, 3, dtype=F64))
-    torch.testing.assert_close(tiny, torch.full((1, 3), 70e-6, dtype=F64), rtol=1e-4, atol=0.0)
+    torch.testing.assert_close(tiny.rad2deg(), torch.full((1, 3), 70e-6, dtype=F64), rtol=1e-4, atol=0.0)
 
 
 def test_sticks_ask_for_their_rates() -> None:
@@ -148,11 +152,19 @@ def test_the_integral_grows_by_its_gain_and_rests_where_the_wanted_rate_changes(
     assert DT * begins == pytest.approx(0.0112, abs=1.5 * DT)
 
 
-def test_the_integral_slows_down_where_corrections_use_the_range_and_has_a_limit() -> None:
+def test_a_yaw_integral_gain_counts_two_and_a_half_times() -> None:
+    """An error of 0.1 rad/s for 10 ms with I = 80: 80 * 0.244381 * 5.729578 * 0.01 = 1.120160 thousandths; 2.800400 for yaw."""
+    law = law_of(replace(PLAIN, i_roll=80.0, i_pitch=80.0, i_yaw=80.0))
+    _, memory = run(law, [[0.0, 0.1, 0.1, 0.1]] * 10)
+    expected = torch.tensor([1.120160e-3, 1.120160e-3, 2.800400e-3], dtype=F64)
+    torch.testing.assert_close(memory.numbers[0, :3], expected, rtol=1e-6, atol=0.0)
+
+
+def test_windup_slows_the_integral_of_yaw_alone_and_integrals_have_a_limit() -> None:
     nothing = torch.zeros(1, 3, dtype=F64)
     for used, share in ((0.5, 1.0), (0.85, 1.0), (0.925, 0.5), (1.0, 0.0), (1.3, 0.0)):
         found = integral_share(nothing, torch.full((1, 1), used, dtype=F64), 0.85)
-        torch.testing.assert_close(found, torch.full((1, 3), share, dtype=F64))
+        torch.testing.assert_close(found, torch.tensor([[1.0, 1.0, share]], dtype=F64))
         assert bool((integral_share(nothing, torch.full((1, 1), used, dtype=F64), 1.0) == 1.0).all())
     law = law_of(replace(PLAIN, i_roll=8000.0, iterm_limit=100.0))
     _, memory = run(law, [[0.0, 1.0, 0.0, 0.0]] * 200)
@@ -160,23 +172,79 @@ def test_the_integral_slows_down_where_corrections_use_the_range_and_has_a_limit
 
 
 def test_airmode_keeps_torques_at_zero_throttle() -> None:
-    """Corrections of +-0.2 at no throttle: it rises by 0.2, and the differences stay; without airmode half of them is lost."""
+    """Corrections of +-0.2 at no throttle: it rises by 0.2, and the differences stay."""
     mix = torch.tensor([[0.2, -0.2, 0.2, -0.2]], dtype=F64)
-    none = torch.zeros(1, 4, dtype=F64)
-    with_it, used = mixed(none, mix, airmode=True)
-    torch.testing.assert_close(with_it, torch.tensor([[0.4, 0.0, 0.4, 0.0]], dtype=F64))
+    signal, used = mixed(torch.zeros(1, 4, dtype=F64), mix, airmode=True)
+    torch.testing.assert_close(signal, torch.tensor([[0.4, 0.0, 0.4, 0.0]], dtype=F64))
     assert float(used) == pytest.approx(0.4)
-    without, _ = mixed(none, mix, airmode=False)
-    torch.testing.assert_close(without, torch.tensor([[0.2, 0.0, 0.2, 0.0]], dtype=F64))
+
+
+@pytest.mark.parametrize(
+    ("throttle", "mix", "signal"),
+    [
+        # zero throttle: corrections count half, and the throttle rises to 0.1 so that none is cut
+        (0.0, (0.3, -0.1, 0.0, -0.2), (0.25, 0.05, 0.1, 0.0)),
+        # throttle 0.1: a share of 0.6; the throttle rises to 0.12
+        (0.1, (0.3, -0.1, 0.0, -0.2), (0.30, 0.06, 0.12, 0.0)),
+        # throttle 0.25: a share of 0.75, and nothing else to do
+        (0.25, (0.2, -0.2, 0.1, -0.1), (0.40, 0.10, 0.325, 0.175)),
+        # half throttle: corrections keep their size
+        (0.5, (0.2, -0.2, 0.1, -0.1), (0.70, 0.30, 0.60, 0.40)),
+        # range 2 at zero throttle: a half of the range scaled to 1; the throttle rises to 0.25
+        (0.0, (1.0, -1.0, 0.0, 0.0), (0.5, 0.0, 0.25, 0.25)),
+        # near full throttle it gives way
+        (0.9, (0.2, -0.2, 0.1, -0.1), (1.0, 0.6, 0.9, 0.7)),
+    ],
+)
+def test_without_airmode_corrections_shrink_below_half_throttle(
+    throttle: float, mix: tuple[float, ...], signal: tuple[float, ...]
+) -> None:
+    """Worked by hand from ``applyMixerAdjustment`` of Betaflight 4.3 to 4.5."""
+    found, used = mixed(torch.full((1, 4), throttle, dtype=F64), torch.tensor([mix], dtype=F64), airmode=False)
+    torch.testing.assert_close(found, torch.tensor([signal], dtype=F64))
+    assert float(used) == pytest.approx(max(mix) - min(mix))
+
+
+def legacy_mixer(throttle: float, mix: list[float], airmode: bool) -> list[float]:
+    """Return the motor signals of Betaflight's LEGACY mixer, number by number, from its rule in ``mixer.c`` (4.3 to 4.5)."""
+    high, low = max([0.0, *mix]), min([0.0, *mix])
+    share = 1.0 if airmode or throttle >= 0.5 else 0.5 + throttle
+    if high - low > 1.0:
+        share /= high - low
+    throttle = min(max(throttle, -low * share), max(1.0 - high * share, -low * share))
+    return [min(max(throttle + share * one, 0.0), 1.0) for one in mix]
+
+
+def test_the_mixer_is_betaflights_at_random_inputs() -> None:
+    """400 mixes of 4 or 6 motors, of any sign and up to twice the range, on torch; the twin is held to torch elsewhere."""
+    g = torch.Generator().manual_seed(0)
+    for case in range(400):
+        motors = 4 + 2 * (case % 2)
+        throttle = float(torch.rand(1, generator=g, dtype=F64))
+        mix = torch.randn(motors, generator=g, dtype=F64) * 0.4 + (0.6 if case % 7 == 0 else 0.0)
+        airmode = case % 3 == 0
+        found, _ = mixed(torch.full((1, motors), throttle, dtype=F64), mix.unsqueeze(0), airmode=airmode)
+        torch.testing.assert_close(found[0], torch.tensor(legacy_mixer(throttle, mix.tolist(), airmode), dtype=F64))
+
+
+def test_without_airmode_zero_throttle_holds_the_integrals_at_zero() -> None:
+    """At 0.5 of the weight they grow; at none they are zero again, and with airmode they stay."""
+    own = replace(PLAIN, i_roll=80.0, i_yaw=80.0)
+    told = [[-0.5, 0.1, 0.0, 0.1]] * 5
+    for airmode, kept in ((False, False), (True, True)):
+        law = law_of(replace(own, airmode=airmode))
+        assert bool((run(law, told)[1].numbers[0, [0, 2]] > 0.0).all())
+        assert bool((run(law, [*told, [-1.0, 0.1, 0.0, 0.1]])[1].numbers[0, [0, 2]] > 0.0).all()) is kept
 
 
 def test_full_throttle_gives_way_and_too_large_corrections_fill_the_range() -> None:
+    """Without airmode, throttle 0.3 leaves corrections 0.8 of the range: differences of 0.8, about a throttle of 0.4."""
     mix = torch.tensor([[0.2, -0.2, 0.1, -0.1]], dtype=F64)
-    for airmode in (True, False):
+    for airmode, filled in ((True, [1.0, 0.0, 0.75, 0.25]), (False, [0.8, 0.0, 0.6, 0.2])):
         full, _ = mixed(torch.ones(1, 4, dtype=F64), mix, airmode=airmode)
         torch.testing.assert_close(full, torch.tensor([[1.0, 0.6, 0.9, 0.7]], dtype=F64))
         large, used = mixed(torch.full((1, 4), 0.3, dtype=F64), 10.0 * mix, airmode=airmode)
-        torch.testing.assert_close(large, torch.tensor([[1.0, 0.0, 0.75, 0.25]], dtype=F64))
+        torch.testing.assert_close(large, torch.tensor([filled], dtype=F64))
         assert float(used) == pytest.approx(4.0)
 
 
@@ -224,14 +292,33 @@ def test_robots_come_to_rest_under_derived_gains() -> None:
         check_closed_loop(ROBOTS.get(robot), cfg, gravity=9.81, dt=0.004, integrator="euler", names=(robot, NAME))
 
 
+def with_rotor_lag(seconds: float) -> RobotCfg:
+    return replace(RACER, rotor=replace(RACER.rotor, time_constant_up=seconds, time_constant_down=seconds))
+
+
+OWN = BetaflightCfg(
+    p_roll=45.0, i_roll=80.0, d_roll=40.0, f_roll=120.0, p_pitch=47.0, i_pitch=84.0, d_pitch=46.0, f_pitch=125.0,
+    p_yaw=45.0, i_yaw=80.0, f_yaw=120.0, gyro_lpf1_static_hz=250.0, gyro_lpf2_static_hz=500.0,
+)  # fmt: skip
+"""The defaults of 4.5 with their filters."""
+
+
 def test_betaflights_own_gains_fly_a_racer() -> None:
-    """The defaults of 4.5 with their filters on the 5-inch racer: stable at steps of 1 ms."""
-    own = BetaflightCfg(
-        p_roll=45.0, i_roll=80.0, d_roll=40.0, f_roll=120.0, p_pitch=47.0, i_pitch=84.0, d_pitch=46.0, f_pitch=125.0,
-        p_yaw=45.0, i_yaw=80.0, f_yaw=120.0, gyro_lpf1_static_hz=250.0, gyro_lpf2_static_hz=500.0,
-    )  # fmt: skip
+    """Rotors with a lag of 20 ms; stable at steps of 1 ms."""
+    cfg = replace(CONTROLLERS.get(NAME), betaflight=OWN)
+    check_closed_loop(with_rotor_lag(0.02), cfg, gravity=9.81, dt=0.001, integrator="rk4", names=("racer", NAME))
+
+
+@pytest.mark.parametrize(("lag", "rests"), [(0.028, True), (0.031, False)])
+def test_yaw_rests_where_routh_says(lag: float, rests: bool) -> None:
+    """P + I / s on a first-order lag and an inertia is stable if the lag is below P / I, whatever the loop gain.
+
+    P / I of yaw is ``45 * 0.032029 / (80 * 0.244381 * 2.5)`` = 29.5 ms; with the unit of roll it would be 73.7 ms.
+    """
+    own = BetaflightCfg(p_yaw=45.0, i_yaw=80.0)
     cfg = replace(CONTROLLERS.get(NAME), betaflight=own)
-    check_closed_loop(RACER, cfg, gravity=9.81, dt=0.001, integrator="rk4", names=("racer", NAME))
+    loop = ClosedLoop(with_rotor_lag(lag), cfg, gravity=9.81, integrator="rk4", names=("racer", NAME))
+    assert (loop.radius(2e-4) < 1.0) is rests
 
 
 def test_what_it_cannot_fly_is_refused_by_name() -> None:
