@@ -206,7 +206,7 @@ def check_closed_loop(
         robot, controller, gravity=gravity, integrator=integrator, names=names, drawn=drawn_gains(randomize or {})
     )
     if vain := _held_in_vain(loop.idle, controller, robot):
-        _refuse(
+        refuse(
             controller,
             f"robot {names[0]} with controller {names[1]}: the explicit gains hold {vain}, about which its rotors have no "
             f"torque, and an error that stays there hides the others. Give attitude gains of 0 about {vain}, or leave them out",
@@ -226,13 +226,14 @@ def check_closed_loop(
         if best is None
         else f"The largest dt with a gain margin of 6 dB is {best:.3g} s"
     )
-    _refuse(
+    refuse(
         controller,
         f"robot {names[0]} with controller {names[1]} at dt = {dt:g} s {fault}, with {gains}. {span}: {way_out}",
     )
 
 
-def _refuse(controller: ControllerCfg, message: str) -> None:
+def refuse(controller: ControllerCfg, message: str) -> None:
+    """Raise ``ConfigError`` with a message, or warn where ``ControllerCfg.if_unstable`` says so."""
     if controller.if_unstable == "refuse":
         raise ConfigError(message)
     logging.getLogger(__name__).warning(message)

@@ -21,6 +21,7 @@ from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop
+from aerial_gym.control.upside_down import check_starts
 from aerial_gym.env_manager.touch import Touch, recorded
 from aerial_gym.errors import ClosedError, ConfigError
 from aerial_gym.interop import resolve_device
@@ -113,6 +114,7 @@ class EnvManager:
             names=names,
             randomize=random,
         )
+        check_starts(robot, controller, gravity=sim.gravity, dt=sim.dt, names=names)
         scene = self.asset_manager.scene
         trajectory = recorded(env, robot, num_envs=num_envs, device=device)
         around = Surroundings(

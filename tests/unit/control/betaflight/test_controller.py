@@ -293,6 +293,7 @@ def test_robots_come_to_rest_under_derived_gains() -> None:
 
 
 def with_rotor_lag(seconds: float) -> RobotCfg:
+    assert RACER.rotor is not None
     return replace(RACER, rotor=replace(RACER.rotor, time_constant_up=seconds, time_constant_down=seconds))
 
 

@@ -1,0 +1,112 @@
+"""Starts from which a control law does not turn a vehicle over: tilted by more than 90 degrees, and no torque to right it.
+
+Laws that compare rotation matrices (``lee_*``, ``pid_*``) ask for a torque that goes with the sine of the angle, so it
+vanishes at exactly 180 degrees alone. The Crazyflie's Mellinger controller gives no torque as long as the thrust that it wants
+along the body is negative: from 90 degrees on. ``allocation: clamp`` does much the same to laws that ask for such a thrust, as
+all rotors are then at their lower limit. Laws that turn by the shortest way (``px4_*``, Brescianini, the Crazyflie's PID) have
+their largest torque there.
+Letters: N start attitudes.
+"""
+
+from itertools import product
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.controller import ControllerCfg
+from aerial_gym.config.robot import InitialStateCfg, RobotCfg
+from aerial_gym.control.controllers import Controller, make_controller
+from aerial_gym.control.effectiveness import allocation_matrix
+from aerial_gym.control.laws import LAWS
+from aerial_gym.control.remembering import RememberingController
+from aerial_gym.control.stability import refuse
+from aerial_gym.math.quaternion import quat_from_euler
+from aerial_gym.physics.law_memory import fresh_law_memory
+from aerial_gym.physics.rotors import rotor_thrust
+from aerial_gym.physics.state import BodyState, state_at_rest
+from aerial_gym.physics.vehicle import vehicle_from_config
+
+GRID = 32
+"""Attitudes along each of roll and pitch. Even, so that none is in the middle of a range, where an equilibrium may be."""
+
+INSET = 1e-3
+"""Distance of the outermost ones from the ends, as a share of the range: an equilibrium at the very end is no region."""
+
+STILL = 1e-4
+"""Angular acceleration [rad/s²] below which a start counts as stuck: 10 s turn it by 0.3 degrees."""
+
+
+def check_starts(
+    robot: RobotCfg, controller: ControllerCfg, *, gravity: float, dt: float, names: tuple[str, str]
+) -> None:
+    """Refuse start attitudes of ``robot.initial_state`` from which the law does not turn the vehicle over.
+
+    ``ControllerCfg.if_unstable = "warn"`` makes it a warning.
+
+    Args:
+        robot: Vehicle and its start.
+        controller: Law and gains.
+        gravity: Downward acceleration of free fall [m/s²].
+        dt: Time step [s].
+        names: Of robot and controller, for the message.
+
+    Raises:
+        ConfigError: If there are such attitudes.
+    """
+    if controller.law not in LAWS or "roll" not in LAWS[controller.law].trim:
+        return
+    attitudes = attitudes_beyond(robot.initial_state)
+    if len(attitudes) == 0:
+        return
+    stuck = int((righting_acceleration(robot, controller, attitudes, gravity=gravity, dt=dt) < STILL).sum())
+    if stuck:
+        refuse(
+            controller,
+            f"robot {names[0]} with controller {names[1]}: euler_low = {robot.initial_state.euler_low}, euler_high = "
+            f"{robot.initial_state.euler_high} include starts that are tilted by more than 90 degrees. From {stuck} of "
+            f"{len(attitudes)} such attitudes the law gives no torque about roll and pitch, and the vehicle falls as it is. "
+            "Keep roll and pitch of initial_state (start of a task) below 90 degrees, or take a controller that turns over "
+            "(px4_*, or lee_* with allocation 'prioritised'). "
+            'dataclasses.replace(controller, if_unstable="warn") flies it as it is',
+        )
+
+
+def attitudes_beyond(start: InitialStateCfg) -> Tensor:
+    """Return attitudes (N, 4), xyzw, on a grid over the start's roll and pitch, of those tilted by more than 90 degrees."""
+    roll, pitch = (_inside(start.euler_low[i], start.euler_high[i]) for i in (0, 1))
+    yaw = 0.5 * (start.euler_low[2] + start.euler_high[2])
+    angles = torch.tensor([(r, p, yaw) for r, p in product(roll, pitch)], dtype=torch.float64)
+    return quat_from_euler(angles[torch.cos(angles[:, 0]) * torch.cos(angles[:, 1]) < 0.0])
+
+
+def righting_acceleration(
+    robot: RobotCfg, controller: ControllerCfg, attitudes: Tensor, *, gravity: float, dt: float
+) -> Tensor:
+    """Return the angular acceleration about roll and pitch [rad/s²], (N,), that a law asks for at attitudes (N, 4).
+
+    The vehicle is where action 0 holds it, without velocity, and turns at the upper end of its start's body rates.
+    """
+    vehicle = vehicle_from_config(robot, num_envs=len(attitudes), dtype=torch.float64)
+    law = make_controller(controller, vehicle, gravity, dt=dt, control=robot.control)
+    state = state_at_rest(len(attitudes), vehicle.num_rotors, device=attitudes.device, dtype=attitudes.dtype)
+    state.attitude[:] = attitudes
+    state.ang_vel[:] = attitudes.new_tensor(robot.initial_state.ang_vel_high)
+    thrust = rotor_thrust(vehicle, _settled_command(law, state))
+    torque = (allocation_matrix(vehicle, gravity)[:, 3:] * thrust.unsqueeze(1)).sum(-1)
+    return torch.linalg.solve(vehicle.inertia, torque)[:, :2].norm(dim=-1)
+
+
+def _settled_command(law: Controller, state: BodyState) -> Tensor:
+    """Return the rotor command (N, R) once the law has seen the state for as long as its delays last."""
+    action = state.position.new_zeros(state.num_envs, len(law.action_names))
+    if not isinstance(law, RememberingController):
+        return law.rotor_command(state, action)
+    memory, timing = fresh_law_memory(law.needs, state.num_envs, state.position), law.timing
+    for _ in range(timing.action_delay + timing.delay + timing.law):
+        _, memory = law.command(state, action, memory)
+    return law.command(state, action, memory)[0]
+
+
+def _inside(low: float, high: float) -> list[float]:
+    low, high = low + INSET * (high - low), high - INSET * (high - low)
+    return sorted({low + (high - low) * k / (GRID - 1) for k in range(GRID)})
