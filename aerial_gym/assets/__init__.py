@@ -9,9 +9,9 @@ if TYPE_CHECKING:
     from aerial_gym.assets.catalog import ENVIRONMENTS
     from aerial_gym.assets.collision import CollisionTest
     from aerial_gym.assets.families import FAMILIES, family_shapes
+    from aerial_gym.assets.mesh_files import load_mesh
     from aerial_gym.assets.placement import Bounds
     from aerial_gym.assets.scene import PARKED_Z, Scene
-    from aerial_gym.assets.shapes import load_mesh
     from aerial_gym.assets.urdf import load_urdf
 
 __all__ = [

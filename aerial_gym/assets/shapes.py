@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot, inf
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -12,13 +10,10 @@ import warp as wp
 
 from aerial_gym.assets.geometry import BOX, CAPSULE, CYLINDER, MESH, PLANE, SPHERE, Shape
 from aerial_gym.assets.looks import LookTable, MeshLook, look_of_mesh
+from aerial_gym.assets.mesh_files import join_pieces, read_pieces
 from aerial_gym.assets.urdf import load_urdf_shape
 from aerial_gym.config.environment import PartCfg, ShapeCfg
-from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_from_euler
-
-if TYPE_CHECKING:
-    import trimesh
 
 _KINDS = {"box": BOX, "sphere": SPHERE, "cylinder": CYLINDER, "capsule": CAPSULE, "mesh": MESH, "plane": PLANE}
 
@@ -44,7 +39,7 @@ class ShapeTable:
         """
         self.shapes = tuple(load_urdf_shape(shape) if shape.kind == "urdf" else shape for shape in shapes)
         self._device = wp.device_from_torch(device)
-        self._meshes: dict[tuple[str, float], _Mesh] = {}
+        self._meshes: dict[tuple[str, float, str | None], _Mesh] = {}
         parts = [shape.parts or (PartCfg(shape=shape),) for shape in self.shapes]
         self.parts: tuple[PartCfg, ...] = tuple(part for group in parts for part in group)
         self.num_parts = torch.tensor([len(group) for group in parts], dtype=torch.int64, device=device)
@@ -72,10 +67,10 @@ class ShapeTable:
         return len(self.shapes)
 
     def _mesh(self, cfg: ShapeCfg) -> "_Mesh":
-        key = (str(cfg.path), cfg.scale)
+        key = (str(cfg.path), cfg.scale, cfg.up)
         if key not in self._meshes:
-            pieces = _read_mesh(key[0], scale=cfg.scale)
-            surface = _join(pieces, scale=cfg.scale)
+            pieces = read_pieces(key[0], scale=cfg.scale, up=cfg.up)
+            surface = join_pieces(pieces, scale=cfg.scale)
             points = wp.array(surface.vertices.astype(np.float32), dtype=wp.vec3, device=self._device)
             indices = wp.array(surface.faces.astype(np.int32).ravel(), dtype=wp.int32, device=self._device)
             solid = wp.Mesh(points=points, indices=indices, support_winding_number=True)
@@ -98,68 +93,6 @@ class _Mesh:
     radius: float
     bounds: np.ndarray
     look: MeshLook | None
-
-
-def load_mesh(path: str | Path, *, scale: float) -> "trimesh.Trimesh":
-    """Return the triangles of a mesh file, scaled about its origin; a closed mesh is turned right side out.
-
-    Raises:
-        ConfigError: If the file is missing, unreadable, without a triangle or a surface, if a triangle names a vertex that is
-            not there, or if a scaled coordinate is not a finite float32.
-    """
-    return _join(_read_mesh(path, scale=scale), scale=scale)
-
-
-def _read_mesh(path: str | Path, *, scale: float) -> list["trimesh.Trimesh"]:
-    """Return the geometries of a mesh file in place, with their colours; raise ``ConfigError`` if there is nothing usable."""
-    import trimesh
-
-    if not Path(path).is_file():
-        raise ConfigError(f"mesh {path}: no such file")
-    try:
-        found = trimesh.load_scene(path, process=False).dump()
-        pieces = [piece for piece in found if isinstance(piece, trimesh.Trimesh)]
-        shapes = {(part.ndim, part.shape[-1]) for piece in pieces for part in (piece.vertices, piece.faces)}
-    except Exception as error:  # trimesh's readers raise whatever their format's library raises
-        raise ConfigError(f"mesh {path}: cannot be read ({' '.join(str(error).split())})") from None
-    if not shapes <= {(2, 3)}:
-        raise ConfigError(f"mesh {path}: a vertex needs three numbers, and a triangle three vertices")
-    if sum(len(piece.faces) for piece in pieces) == 0:
-        raise ConfigError(f"mesh {path}: holds no triangle")
-    for piece in pieces:
-        if len(piece.faces) and (piece.faces.min() < 0 or piece.faces.max() >= len(piece.vertices)):
-            raise ConfigError(
-                f"mesh {path}: a triangle names a vertex from {piece.faces.min()} to {piece.faces.max()}; "
-                f"there are {len(piece.vertices)}, counted from 0"
-            )
-        if not (np.abs(piece.vertices) * scale <= np.finfo(np.float32).max).all():
-            raise ConfigError(f"mesh {path}: a vertex is not finite")
-    if not sum(piece.area for piece in pieces) > 0.0:
-        raise ConfigError(f"mesh {path}: has no surface: the corners of each triangle lie on a line")
-    return pieces
-
-
-def _join(pieces: Sequence["trimesh.Trimesh"], *, scale: float) -> "trimesh.Trimesh":
-    """Return one mesh without colours, vertices and triangles in the order of the pieces, scaled about its origin."""
-    import trimesh
-
-    first = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
-    faces = [piece.faces + offset for piece, offset in zip(pieces, first, strict=False)]
-    vertices = np.concatenate([piece.vertices for piece in pieces])
-    mesh = trimesh.Trimesh(vertices=vertices, faces=np.concatenate(faces), process=False)
-    mesh.apply_scale(scale)
-    merged = mesh.copy()
-    merged.merge_vertices()
-    if merged.is_watertight and merged.volume < 0.0:
-        mesh.invert()
-    return mesh
-
-
-def is_convex(mesh: "trimesh.Trimesh") -> bool:
-    """Return whether a mesh is one closed body that holds every line between two of its points."""
-    merged = mesh.copy()
-    merged.merge_vertices()
-    return bool(merged.is_watertight and merged.is_convex and merged.body_count == 1)
 
 
 def half_size(cfg: ShapeCfg) -> tuple[float, float, float]:

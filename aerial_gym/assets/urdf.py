@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from aerial_gym.assets.mesh_files import is_collada
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 from aerial_gym.config.robot import Vec3
 from aerial_gym.errors import ConfigError
@@ -229,7 +230,7 @@ def _shape(geometry: "Geometry", folder: Path) -> ShapeCfg:
             f"mesh {geometry.mesh.filename}: scale {scale.tolist()} differs by axis; scale the file instead"
         )
     file = _mesh_file(geometry.mesh.filename, folder)
-    return ShapeCfg(kind="mesh", path=str(file), scale=float(scale[0]))
+    return ShapeCfg(kind="mesh", path=str(file), scale=float(scale[0]), up="z" if is_collada(file) else None)
 
 
 def _mesh_file(name: str, folder: Path) -> Path:

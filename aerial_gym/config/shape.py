@@ -129,6 +129,10 @@ class ShapeCfg:
     scale: float = 1.0
     """Factor on the coordinates of a mesh, > 0; 1 for every other kind."""
 
+    up: str | None = None
+    """Axis of the mesh file that points up: ``x``, ``y`` or ``z``. If not given: ``y`` of a glTF file, what a Collada file
+    says (in a URDF ``z``, as RViz, MoveIt and Gazebo take it), and ``z`` of all other files."""
+
     link_ids: Mapping[str, int] | None = None
     """What segmentation shows for named links of a URDF, 0 to 99; every name must be one of its links."""
 
@@ -164,6 +168,10 @@ class ShapeCfg:
             raise ConfigError(
                 f"ShapeCfg.scale = {self.scale!r}: only a mesh is scaled; change the size of a {self.kind}"
             )
+        if self.up not in (None, "x", "y", "z"):
+            raise ConfigError(f"ShapeCfg.up = {self.up!r}: must be x, y or z")
+        if self.up is not None and self.kind != "mesh":
+            raise ConfigError(f"ShapeCfg.up = {self.up!r}: only a mesh file has an up axis; turn a {self.kind} instead")
         if self.kind != "urdf" and (self.link_ids or self.first_link_id is not None):
             raise ConfigError(f"ShapeCfg.link_ids, first_link_id: a {self.kind} has no links; only a urdf has")
         for link, semantic_id in (*(self.link_ids or {}).items(), ("first_link_id", self.first_link_id or 0)):

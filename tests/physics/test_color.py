@@ -83,6 +83,9 @@ def own_points(points: Tensor, position: list[float], euler: list[float]) -> Ten
 
 # ------------------------------------------------------------------------------------------------ meshes
 
+Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Turns rows (x, y, z) to (x, z, -y), as glTF has them."""
+
 
 @pytest.mark.parametrize("kind", ["ply", "obj", "glb"])
 def test_vertex_colors_are_weighed_by_the_areas_of_the_opposite_triangles(kind: str, device, tmp_path: Path) -> None:
@@ -90,7 +93,8 @@ def test_vertex_colors_are_weighed_by_the_areas_of_the_opposite_triangles(kind: 
     corners = np.array([[0.0, 0.0, 0.0], [2.0, 0.3, 0.0], [0.4, 1.5, 0.2]])
     colors = np.array([[255, 0, 51, 255], [0, 204, 0, 255], [102, 0, 255, 255]], dtype=np.uint8)
     path = tmp_path / f"triangle.{kind}"
-    trimesh.Trimesh(corners, [[0, 1, 2]], vertex_colors=colors, process=False).export(path)
+    stored = corners @ Y_UP if kind == "glb" else corners
+    trimesh.Trimesh(stored, [[0, 1, 2]], vertex_colors=colors, process=False).export(path)
     place, turn, scale = [3.0, -0.8, 0.6], [0.3, 1.1, 0.2], 1.5
     shape = ShapeCfg(kind="mesh", path=str(path), scale=scale)
     color, points, ids = look(CAMERA, make_scene([shape], [(place, turn)], device), [0.0] * 3, [0.0] * 3)
@@ -151,7 +155,8 @@ def textured_square(
             baseColorTexture=Image.fromarray(image), baseColorFactor=[*factor, 1.0]
         )
         visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
-        trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False).export(folder / "square.glb")
+        square = trimesh.Trimesh(corners @ Y_UP, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False)
+        square.export(folder / "square.glb")
     return str(folder / f"square.{kind}")
 
 

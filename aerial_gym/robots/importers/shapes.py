@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from aerial_gym.assets import load_mesh
 from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionCfg, CollisionShape, PartCfg, SphereCfg
 from aerial_gym.robots.importers.found import vec3
 
@@ -24,12 +25,9 @@ def shape_of(part: PartCfg) -> CollisionShape:
 
 
 def _box_around_mesh(part: PartCfg) -> BoxCfg:
-    import numpy as np
-    import trimesh
     from trimesh.transformations import euler_matrix
 
-    mesh = trimesh.load(part.shape.path, force="mesh")
-    low, high = np.asarray(mesh.bounds) * part.shape.scale  # pyright: ignore[reportAttributeAccessIssue]
+    low, high = load_mesh(part.shape.path or "", scale=part.shape.scale, up=part.shape.up).bounds
     center = euler_matrix(*part.euler, axes="sxyz")[:3, :3] @ (0.5 * (low + high)) + part.position
     return BoxCfg(center=vec3(center), size=vec3(high - low), euler=part.euler)
 

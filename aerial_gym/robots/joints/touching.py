@@ -8,7 +8,8 @@ from torch import Tensor
 from aerial_gym.assets import Scene
 from aerial_gym.assets.between_links import pairs_apart
 from aerial_gym.assets.body_shapes import contact_points, core_of
-from aerial_gym.assets.shapes import half_size, is_convex, load_mesh
+from aerial_gym.assets.mesh_files import is_convex, load_mesh
+from aerial_gym.assets.shapes import half_size
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.shape import PartCfg
 from aerial_gym.math.quaternion import quat_from_euler
@@ -66,6 +67,6 @@ def _solid_of(part: PartCfg) -> Solid:
     place = {"position": part.position, "attitude": tuple(turn.tolist())}
     if shape.kind != "mesh" or shape.path is None:
         return Solid(kind=shape.kind, size=half_size(shape), **place)
-    mesh = load_mesh(shape.path, scale=shape.scale)
+    mesh = load_mesh(shape.path, scale=shape.scale, up=shape.up)
     vertices = tuple(map(tuple, mesh.vertices.tolist()))
     return Solid(kind=shape.kind, path=shape.path, vertices=vertices, convex=is_convex(mesh), **place)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import torch
 
-from aerial_gym.assets.shapes import load_mesh
+from aerial_gym.assets.mesh_files import load_mesh
 from aerial_gym.assets.urdf import load_urdf
 from aerial_gym.config import dump_yaml, files_of, load
 from aerial_gym.config.environment import load_environment
