@@ -2,14 +2,19 @@
 
 import json
 import logging
+import sys
 import warnings
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
 
 from aerial_gym.cli.progress import progress_bar
+
+if TYPE_CHECKING:
+    from aerial_gym.export import Exported
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,14 +37,14 @@ class ExportCmd:
     """Of files and C functions; that of the task if not given."""
 
     check: bool = True
-    """Run what was written on 100,000 observations and compare it with torch."""
+    """Run each file on 100,000 observations and compare it with torch."""
 
     json: bool = False
     """Print one JSON object per format."""
 
     def run(self) -> int:
-        """Write, compare, print; return 0, or 1 where something written is not what torch gives."""
-        from aerial_gym.export import export_policy
+        """Write, compare, print; return 0, or 1 if a file is not the policy."""
+        from aerial_gym.export.export import export_policy
         from aerial_gym.rl_training.run.run_folder import run_folder_of
 
         folder = self.policy if self.policy.is_dir() else run_folder_of(self.policy).path
@@ -50,22 +55,43 @@ class ExportCmd:
             progress("writing", 0.0)
             found = export_policy(self.policy, out, self.to, robot=self.robot, name=self.name, check=self.check)
             progress("writing", 1.0)
+        for each in found:
+            if each.agrees is False:
+                print(_refusal(each), file=sys.stderr)
         if self.json:
             for each in found:
-                print(
-                    json.dumps({"to": each.to, "file": str(each.file), "largest_difference": each.largest_difference})
-                )
+                print(json.dumps(_row(each)))
         else:
             table = Table(box=None, pad_edge=False)
-            for column in ("format", "file", "kB", "largest difference from torch"):
+            for column in ("format", "file", "kB", "error", "limit", "output"):
                 table.add_column(column)
             for each in found:
-                told = each.not_checked if each.largest_difference is None else f"{each.largest_difference:.1e}"
-                table.add_row(each.to, str(each.file), f"{each.file.stat().st_size / 1e3:.0f}", f"{told}")
+                table.add_row(each.to, str(each.file), f"{each.file.stat().st_size / 1e3:.0f}", *_cells(each))
             Console(markup=False).print(table)
-            print(f"{out / 'policy.json'}: what goes in and what comes out, entry by entry")
-        return int(any((each.largest_difference or 0.0) > AGREES for each in found))
+            print(f"{out / 'policy.json'}: inputs and outputs, entry by entry")
+        return int(any(each.agrees is False for each in found))
 
 
-AGREES = 1e-5
-"""An action, command or latent further from that of torch is not taken for rounding."""
+def _row(each: "Exported") -> dict[str, object]:
+    """Return the JSON object of a file."""
+    row: dict[str, object] = {"to": each.to, "file": str(each.file), "largest_difference": each.largest_difference}
+    worst = each.agreement
+    return row if worst is None else row | {**asdict(worst), "limit": worst.limit, "agrees": worst.holds}
+
+
+def _cells(each: "Exported") -> tuple[str, str, str]:
+    """Return error, limit and output of a file as text; of one that was not checked, the reason."""
+    worst = each.agreement
+    return (
+        (str(each.not_checked), "", "") if worst is None else (f"{worst.error:.1e}", f"{worst.limit:.1e}", worst.output)
+    )
+
+
+def _refusal(each: "Exported") -> str:
+    """Return the message about a file that is not the policy."""
+    worst = each.agreement
+    assert worst is not None
+    return (
+        f"{each.file}: {worst.output} is {worst.error:.3g} from torch in float64. The limit is {worst.limit:.3g}: "
+        "ten times the rounding of float32. Do not fly this file; export another format"
+    )

@@ -1,10 +1,11 @@
-"""A policy as C99: one header and one source, weights inside, no library but math.h, no allocation.
+"""A policy as C99: one header and one source, weights inside, no library but math.h and stdint.h, no allocation.
 
 Letters: O entries of an observation, U of a command, V of an action, M numbers of memory.
 """
 
 from collections.abc import Callable, Iterable, Mapping
 from itertools import pairwise
+from math import prod
 from typing import Any
 
 import torch
@@ -12,6 +13,7 @@ from torch import Tensor, nn
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.export.c99_images import CONVOLVE, Looking, joined, looking, parameters, passing, told
+from aerial_gym.export.finite import C_FINITE
 from aerial_gym.export.layout import Layout
 from aerial_gym.export.module import FlownPolicy, transform_of
 from aerial_gym.sensors.encoder.file import Encoder
@@ -57,6 +59,12 @@ typedef struct {{
 /* Before the first step, and where a new flight begins. */
 void {n}_reset({n}_state *state);
 
+/* Returns 0. Returns 1, with NaN in command and {
+        "state" if layout.memory else "action"
+    }, if a number that goes in, or the
+ * action before its limits, is NaN or infinite. {
+        _AFTER_ERROR if layout.memory else "The next step is not affected."
+    } */
 {step(layout)};
 
 #endif
@@ -66,7 +74,7 @@ void {n}_reset({n}_state *state);
 def step(layout: Layout) -> str:
     """Return the head of the function that flies."""
     seen, given = layout.num_observations, len(layout.command)
-    head = f"void {layout.name}_step({layout.name}_state *state, const float observation[{seen}], "
+    head = f"int {layout.name}_step({layout.name}_state *state, const float observation[{seen}], "
     return f"{head}{parameters(layout)}float command[{given}])"
 
 
@@ -110,6 +118,10 @@ def source(policy: FlownPolicy, layout: Layout) -> str:
         layers.append(_MEMORY.format(features=before, wide=widths[-1], m=layout.memory))
         before = "state->memory"
     lines = "\n".join(layers)
+    checked = {"observation": layout.num_observations, **({"state->memory": layout.memory} if layout.memory else {})}
+    checked |= {image.key: prod(image.shape) for image in layout.images if image.dtype == "float32"}
+    outputs = {"command": len(layout.command), "state->action": layout.num_actions}
+    outputs |= {"state->memory": layout.memory} if layout.memory else {}
     forget = f"\n    for (int i = 0; i < {layout.memory}; ++i) state->memory[i] = 0.0f;" if layout.memory else ""
     activation = _ACTIVATIONS[body.cfg.activation] if linears or layout.images else ""
     activation += CONVOLVE if layout.images else ""
@@ -117,9 +129,10 @@ def source(policy: FlownPolicy, layout: Layout) -> str:
     return f"""#include "{n}.h"
 
 #include <math.h>
+#include <stdint.h>
 
 {chr(10).join(parts)}
-static float clamped(float x, float limit) {{ return x < -limit ? -limit : (x > limit ? limit : x); }}
+{C_FINITE}static float clamped(float x, float limit) {{ return x < -limit ? -limit : (x > limit ? limit : x); }}
 {activation}{logistic}
 {_DENSE}
 void {n}_reset({n}_state *state) {{
@@ -127,15 +140,18 @@ void {n}_reset({n}_state *state) {{
 }}
 
 {step(layout)} {{
+    int finite = {_all_finite(checked)};
     float seen[{layout.num_observations}];
     for (int i = 0; i < {layout.num_observations}; ++i) {{
         seen[i] = (observation[i] - shift[i]) * factor[i];{clamped}
     }}
 {lines}
     dense(head, head_bias, {policy.policy.head.in_features}, {layout.num_actions}, {before}, state->action);
+    finite = finite && is_finite(state->action, {layout.num_actions});
     for (int i = 0; i < {layout.num_actions}; ++i) state->action[i] = clamped(state->action[i], 1.0f);
     const float *action = state->action;
 {write(layout, transform_of(layout)[1])}
+{_result(outputs)}
 }}
 """
 
@@ -160,6 +176,7 @@ typedef struct {{
     float work[2][{_passing(encoder, lambda _, __: "").work}];
 }} {name}_space;
 
+/* Returns 0. Returns 1, with NaN in all latents, if a pixel or a latent is NaN or infinite. */
 {_encoder_head(encoder, name)};
 
 #endif
@@ -172,25 +189,43 @@ def encoder_source(encoder: Encoder, name: str) -> str:
     return f"""#include "{name}.h"
 
 #include <math.h>
+#include <stdint.h>
 
 {chr(10).join(passed.arrays)}
-{_ACTIVATIONS[encoder.cfg.activation]}{CONVOLVE}
+{C_FINITE}{_ACTIVATIONS[encoder.cfg.activation]}{CONVOLVE}
 {_DENSE}
 {_encoder_head(encoder, name)} {{
+    int finite = {_all_finite({"image": pixels})};
     for (int i = 0; i < {pixels}; ++i) state->work[0][i] = image[i];
 {passed.code}
+    finite = finite && is_finite(latents, {encoder.num_latents});
+{_result({"latents": encoder.num_latents})}
 }}
 """
 
 
 def _encoder_head(encoder: Encoder, name: str) -> str:
     pixels = encoder.seen.rows * encoder.seen.columns
-    return f"void {name}_encode({name}_space *state, const float image[{pixels}], float latents[{encoder.num_latents}])"
+    return f"int {name}_encode({name}_space *state, const float image[{pixels}], float latents[{encoder.num_latents}])"
+
+
+def _all_finite(arrays: Mapping[str, int]) -> str:
+    """Return a C expression: whether all entries of some arrays are finite."""
+    return " && ".join(f"is_finite({name}, {count})" for name, count in arrays.items())
+
+
+def _result(outputs: Mapping[str, int]) -> str:
+    """Return the last C statements of a function: NaN in all outputs and 1, unless ``finite``."""
+    bad = " ".join(f"set_nan({name}, {count});" for name, count in outputs.items())
+    return f"    if (!finite) {{ {bad} }}\n    return !finite;"
 
 
 def _passing(encoder: Encoder, array: Callable[[str, Tensor], str]) -> Looking:
     return passing(encoder.layers, (1, encoder.seen.rows, encoder.seen.columns), array, name="layer", out="latents")
 
+
+_AFTER_ERROR = "Then reset the state, or restore a copy of it from before the step."
+"""What a caller of a policy with a memory does."""
 
 _DENSE = """static void dense(const float *weight, const float *bias, int num_in, int num_out, const float *in, float *out) {
     for (int o = 0; o < num_out; ++o) {
@@ -203,7 +238,7 @@ _DENSE = """static void dense(const float *weight, const float *bias, int num_in
 
 _ACTIVATIONS = {
     "elu": "static float activated(float x) { return x > 0.0f ? x : expm1f(x); }\n",
-    "relu": "static float activated(float x) { return x > 0.0f ? x : 0.0f; }\n",
+    "relu": "static float activated(float x) { return x < 0.0f ? 0.0f : x; } /* NaN stays NaN */\n",
     "tanh": "static float activated(float x) { return tanhf(x); }\n",
 }
 

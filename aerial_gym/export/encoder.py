@@ -5,13 +5,17 @@ Letters: B images, H x W pixels, L latents.
 
 import ctypes
 from collections.abc import Callable
+from copy import deepcopy
 from pathlib import Path
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from aerial_gym.config.storage import write_whole
+from aerial_gym.errors import CapabilityError
 from aerial_gym.export import c99
+from aerial_gym.export.agreement import Comparison, not_finite
+from aerial_gym.export.finite import finite_rows, nan_unless
 from aerial_gym.export.formats import onnx_bytes, torchscript_bytes
 from aerial_gym.export.pilot import compiled
 from aerial_gym.sensors.encoder.file import Encoder, load_encoder
@@ -23,6 +27,20 @@ CHECKED = 1_000
 """Random images with which a file is compared."""
 
 
+class FlownEncoder(nn.Module):
+    """An encoder that gives NaN for an image with a pixel that is NaN or infinite."""
+
+    def __init__(self, encoder: Encoder) -> None:
+        """Take the encoder."""
+        super().__init__()
+        self.encoder = encoder
+
+    def forward(self, shares: Tensor) -> Tensor:
+        """Return latents (B, L) of images (B, H, W) of shares of the largest distance."""
+        latents = self.encoder(shares)
+        return nan_unless(finite_rows(shares, latents), latents)
+
+
 def write_encoder(encoder: str, file: Path) -> Path:
     """Write an encoder as ONNX, TorchScript or C99, by the ending of the file; return the file."""
     module = load_encoder(encoder)
@@ -30,11 +48,11 @@ def write_encoder(encoder: str, file: Path) -> Path:
         write_whole(file.with_suffix(".h"), c99.encoder_header(module, file.stem))
         write_whole(file, c99.encoder_source(module, file.stem))
         return file
-    given = (torch.zeros(2, module.seen.rows, module.seen.columns),)
+    flown, given = FlownEncoder(module).eval(), (torch.zeros(2, module.seen.rows, module.seen.columns),)
     if file.suffix == ".onnx":
-        write_whole(file, onnx_bytes(module, given, [INPUT], [OUTPUT], ({0: torch.export.Dim("rows")},)))
+        write_whole(file, onnx_bytes(flown, given, [INPUT], [OUTPUT], ({0: torch.export.Dim("rows")},)))
     else:
-        write_whole(file, torchscript_bytes(module, given))
+        write_whole(file, torchscript_bytes(flown, given))
     return file
 
 
@@ -56,27 +74,36 @@ void rows(int rows, const float *images, float *latents) {{
     return run
 
 
-def _runner(encoder: Encoder, file: Path) -> Callable[[Tensor], Tensor]:
+def runner_of(encoder: Encoder, file: Path) -> Callable[[Tensor], Tensor]:
+    """Return the function that a file of an encoder is: images (B, H, W) to latents (B, L).
+
+    Raises:
+        CapabilityError: If the package or compiler that runs the file is missing.
+    """
     if file.suffix == ".c":
         return _compiled(encoder, file)
     if file.suffix == ".onnx":
-        import onnxruntime
-
+        try:
+            import onnxruntime
+        except ImportError:
+            raise CapabilityError("onnxruntime is not installed. Run: pip install 'aerial-gym[export]'") from None
         session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
         return lambda images: torch.from_numpy(session.run(None, {INPUT: images.numpy()})[0])
     return torch.jit.load(str(file))
 
 
 @torch.no_grad()
-def difference_of_encoder(encoder: Encoder, file: Path) -> float:
-    """Return how far latents of a file are from those of torch at most, over ``CHECKED`` random images.
-
-    As a share of the largest latent, if that is above 1: all are sums of terms of its size.
+def compare_encoder(encoder: Encoder, file: Path) -> Comparison:
+    """Return the latents of a file beside torch, on ``CHECKED`` drawn images and on some that are not finite.
 
     Raises:
-        CapabilityError: If what runs the file is missing.
+        CapabilityError: If the package or compiler that runs the file is missing.
     """
-    images = torch.rand(CHECKED, encoder.seen.rows, encoder.seen.columns, generator=torch.Generator().manual_seed(0))
-    latents = encoder(images)
-    off = (latents - _runner(encoder, file)(images)).abs().max()
-    return float(off / latents.abs().max().clamp_min(1.0))
+    rows, columns = encoder.seen.rows, encoder.seen.columns
+    run, found = runner_of(encoder, file), Comparison([f"{OUTPUT} {i}" for i in range(encoder.num_latents)])
+    images = torch.rand(CHECKED, rows, columns, generator=torch.Generator().manual_seed(0))
+    found.add(deepcopy(encoder).double()(images.double()), encoder(images), run(images))
+    pixels = rows * columns
+    bad = not_finite(pixels, (0, pixels // 2, pixels - 1)).unflatten(-1, (rows, columns))
+    found.add_not_finite(run(bad))
+    return found

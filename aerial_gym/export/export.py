@@ -1,9 +1,10 @@
-"""Writing a policy, and how far what was written is from the policy.
+"""Writing a policy, and comparing the written files with it.
 
 Letters: O entries of an observation, M numbers of memory.
 """
 
 from collections.abc import Callable, Iterable
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,7 +14,8 @@ from torch import Tensor
 from aerial_gym.config.storage import told_storage, write_whole
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.export import c99
-from aerial_gym.export.encoder import difference_of_encoder, write_encoder
+from aerial_gym.export.agreement import Agreement, Comparison, not_finite
+from aerial_gym.export.encoder import compare_encoder, write_encoder
 from aerial_gym.export.formats import onnx_bytes, torchscript_bytes
 from aerial_gym.export.layout import Layout, SeenImage, layout_of
 from aerial_gym.export.module import FlownPolicy
@@ -44,11 +46,19 @@ class Exported:
 
     file: Path
     largest_difference: float | None
-    """Largest difference of a command or action from that of torch over ``CHECKED`` observations (``CHECKED_WITH_IMAGES``);
-    None: ``not_checked``."""
+    """Largest difference of an output from that of torch in float32, in the unit of the output, over ``CHECKED`` observations
+    (``CHECKED_WITH_IMAGES``); None: ``not_checked``."""
+
+    agreement: Agreement | None = None
+    """The output nearest to its limit, or furthest beyond it; None: ``not_checked``."""
 
     not_checked: str | None = None
     """Why it could not be run here."""
+
+    @property
+    def agrees(self) -> bool | None:
+        """Whether it is the policy (``aerial_gym.export.agreement``); None: ``not_checked``."""
+        return None if self.agreement is None else self.agreement.holds
 
 
 def export_policy(
@@ -99,7 +109,7 @@ def write_policy(policy: Policy, layout: Layout, out: Path, to: Iterable[str], *
     found = []
     for each in (wanted := list(to)):
         file = FORMATS[each](flown, layout, out)
-        found.append(_checked(each, file, lambda file: largest_difference(flown, layout, file), check))
+        found.append(_checked(each, file, lambda file: compare(flown, layout, file), check))
     return found + (_encoders(layout.encoder, layout, out, wanted, check=check) if sees_latents(layout) else [])
 
 
@@ -114,38 +124,41 @@ def _encoders(encoder: str | None, layout: Layout, out: Path, to: list[str], *, 
     module = load_encoder(encoder)
     files = (write_encoder(encoder, out / f"{layout.name}_encoder{ENDINGS[each]}") for each in to)
     return [
-        _checked(each, file, lambda file: difference_of_encoder(module, file), check)
+        _checked(each, file, lambda file: compare_encoder(module, file), check)
         for each, file in zip(to, files, strict=True)
     ]
 
 
-def _checked(to: str, file: Path, difference: Callable[[Path], float], check: bool) -> Exported:
-    """Return what was written, compared with torch if asked for and possible."""
+def _checked(to: str, file: Path, comparison: Callable[[Path], Comparison], check: bool) -> Exported:
+    """Return a written file, compared with torch if asked for and possible."""
     if not check:
         return Exported(to=to, file=file, largest_difference=None, not_checked="not asked for")
     try:
-        return Exported(to=to, file=file, largest_difference=difference(file), not_checked=None)
+        found = comparison(file)
     except CapabilityError as error:
         return Exported(to=to, file=file, largest_difference=None, not_checked=str(error))
+    return Exported(to=to, file=file, largest_difference=found.largest_difference, agreement=found.worst)
 
 
 @torch.no_grad()
-def largest_difference(flown: FlownPolicy, layout: Layout, file: Path) -> float:
-    """Return how far command and action of an exported file are from those of torch at most."""
-    pilot, rows = load_exported(file), (CHECKED_WITH_IMAGES if layout.images else CHECKED) // STEPS
-    generator = torch.Generator().manual_seed(0)
+def compare(flown: FlownPolicy, layout: Layout, file: Path) -> Comparison:
+    """Return an exported policy beside torch, on drawn observations and on some that are not finite."""
+    found, step = Comparison(flown.outputs), load_exported(file).step
+    exact, generator = deepcopy(flown).double(), torch.Generator().manual_seed(0)
+    rows = (CHECKED_WITH_IMAGES if layout.images else CHECKED) // STEPS
+    theirs = torch.zeros(rows, layout.memory)
+    ours = [(theirs.double(),), (theirs,)] if layout.memory else [(), ()]
     mean, std, _ = flown.normalized()
-    ours = theirs = torch.zeros(rows, layout.memory)
-    largest = 0.0
     for _ in range(STEPS):
         seen = (mean + SPREAD * std * torch.randn(rows, len(mean), generator=generator)) / flown.scale
         images = [drawn_image(image, rows, generator) for image in layout.images]
-        expected = flown(seen, *images, *((ours,) if layout.memory else ()))
-        given = pilot.step(seen, theirs, *images)
-        for reference, found in zip(expected[:2], given[:2], strict=True):
-            largest = max(largest, float((reference - found).abs().max()))
-        ours, theirs = (expected[2], given[2]) if layout.memory else (ours, theirs)
-    return largest
+        outputs = exact(seen.double(), *images, *ours[0]), flown(seen, *images, *ours[1]), step(seen, theirs, *images)
+        found.add(*(torch.cat(output, dim=-1) for output in outputs))
+        ours, theirs = [output[2:] for output in outputs[:2]], outputs[2][2]
+    bad = not_finite(layout.num_observations, range(layout.num_observations))
+    images = [drawn_image(image, len(bad), generator) for image in layout.images]
+    found.add_not_finite(torch.cat(step(bad, torch.zeros(len(bad), layout.memory), *images), dim=-1))
+    return found
 
 
 def drawn_image(image: SeenImage, rows: int, generator: torch.Generator) -> Tensor:

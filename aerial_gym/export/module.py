@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from aerial_gym.export.finite import finite_rows, nan_unless
 from aerial_gym.export.layout import Layout
 from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
@@ -39,7 +40,9 @@ class FlownPolicy(nn.Module):
         self.register_buffer("scale", torch.cat(scale))
 
     def forward(self, observation: Tensor, *more: Tensor) -> tuple[Tensor, ...]:
-        """Return command (B, U) and action (B, V) of observations (B, O), and with a memory also what it is afterwards.
+        """Return command (B, U) and action (B, V) of observations (B, O), and the next memory (B, M) if there is one.
+
+        A row is NaN throughout if a number that goes in, or the action before its limits, is NaN or infinite.
 
         Args:
             observation: Vectors in their own units, (B, O).
@@ -50,8 +53,9 @@ class FlownPolicy(nn.Module):
         memory = more[len(self._images)] if self._layout.memory else None
         mean, after = self.policy.step(given, observation[:, :0] if memory is None else memory)
         action = mean.clamp(-1.0, 1.0)
-        command = self._transform(action, **self._params)
-        return (command, action) if memory is None else (command, action, after)
+        outputs = (self._transform(action, **self._params), action, *(() if memory is None else (after,)))
+        finite = finite_rows(observation, *more, mean)
+        return tuple(nan_unless(finite, output) for output in outputs)
 
     def normalized(self) -> tuple[Tensor, Tensor, float | None]:
         """Return mean and deviation that the scaled vectors are normalised by, (O,), and the limit of what comes out.
@@ -81,3 +85,10 @@ class FlownPolicy(nn.Module):
         """Return the names of what goes in and of what comes out."""
         inputs, outputs = ["observation", *self._images, "memory"], ["command", "action", "memory_after"]
         return (inputs, outputs) if self._layout.memory else (inputs[:-1], outputs[:2])
+
+    @property
+    def outputs(self) -> list[str]:
+        """Name of each entry of what comes out, in order."""
+        made = self._layout
+        counted = [("action", made.num_actions), ("memory", made.memory)]
+        return [*made.command, *(f"{name} {i}" for name, count in counted for i in range(count))]

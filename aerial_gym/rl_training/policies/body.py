@@ -130,7 +130,8 @@ class Pixels(nn.Module):
         if images.ndim > 4 and not torch.is_grad_enabled():
             return torch.stack([self(step) for step in images])
         flat = images.reshape(-1, *self.shape)
-        pixels = flat.float() / 255.0 if flat.dtype == torch.uint8 else flat.float()
+        floats = flat.to(next(self.network.parameters()).dtype)
+        pixels = floats / 255.0 if flat.dtype == torch.uint8 else floats
         return self.network(pixels).reshape(*images.shape[:-3], -1)
 
 

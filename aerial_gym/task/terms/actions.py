@@ -138,7 +138,7 @@ def four_places(
         if lowest < 0.0:
             found.append((highest * size * share.sign()).clamp(lowest, highest))
         else:
-            found.append(torch.where(share > 0.0, lowest + (highest - lowest) * size, lowest))
+            found.append(torch.where(share <= 0.0, lowest, lowest + (highest - lowest) * size))  # NaN stays NaN
     return torch.stack(found, dim=-1)
 
 

@@ -1,11 +1,12 @@
 """Policies that need no training, and what they fly."""
 
 from dataclasses import replace
+from functools import cache
+from typing import Any
 
 import torch
 
 from aerial_gym.assets.catalog import ENVIRONMENTS
-from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import ActionCfg
 from aerial_gym.env_manager import SimBuilder
 from aerial_gym.export.layout import Layout, layout_of
@@ -17,6 +18,35 @@ from aerial_gym.task import Task, task_registry
 from tests.unit.task.hover import built
 
 HOVER = task_registry.get("position_setpoint_task")
+
+TRANSFORMS = {
+    "direct": (ActionCfg(), "lee_attitude_control"),
+    "forward_flight": (
+        ActionCfg(transform="forward_flight", params={"max_speed": 2.0, "max_inclination": 0.7, "max_yaw_rate": 1.0}),
+        "lee_velocity_control",
+    ),
+    "affine": (
+        ActionCfg(transform="affine", params={"low": [-1.0, -0.5, -3.0, 0.0], "high": [2.0, 0.5, 1.0, 0.25]}),
+        "lee_attitude_control",
+    ),
+    "affine_in_another_order": (
+        ActionCfg(transform="affine", params={"low": [-1.0] * 4, "high": [2.0] * 4, "order": [2, 0, 3, 1]}),
+        "lee_attitude_control",
+    ),
+    "four_places": (
+        ActionCfg(
+            transform="four_places",
+            params={
+                "low": [0.1, -2.0, 0.0, -1.0],
+                "high": [2.0, 2.0, 1.0, 1.5],
+                "mix": [[0.7, 0.2, 0.1, 0.3], [-0.4, 0.9, -0.3, 0.1], [0.5, -0.9, 0.2, 0.1], [0.3, 0.3, -0.8, -0.7]],
+                "speeds": [True, True, False, False],
+            },
+        ),
+        "lee_attitude_control",
+    ),
+}
+"""Each transform of actions, with a controller that takes what it gives."""
 
 
 def training() -> TrainingCfg:
@@ -103,6 +133,18 @@ def hover(rate_hz: int, *, delay: int = 0, noise: float = 0.0, num_envs: int = 1
     return Task(cfg, env)
 
 
-def layout(policy: Policy, cfg: TaskCfg = HOVER) -> Layout:
-    with built(cfg, 1) as task:
-        return layout_of(policy, training(), task, name="hover", source="nowhere")
+@cache
+def _hover_layout() -> Layout:
+    with built(HOVER, 1) as task:
+        return layout_of(drawn_policy(), training(), task, name="hover", source="nowhere")
+
+
+def layout(policy: Policy) -> Layout:
+    """Return the layout of a policy with the inputs and outputs of the hover task, which is built once."""
+    return replace(_hover_layout(), memory=policy.body.memory_size)
+
+
+def layout_with(policy: Policy, name: str, **params: Any) -> Layout:
+    """Return the layout of a hover policy with one of ``TRANSFORMS``; ``params`` replace some of its numbers."""
+    action, _ = TRANSFORMS[name]
+    return replace(layout(policy), transform=action.transform, params={**action.params, **params})

@@ -17,7 +17,15 @@ from aerial_gym.export.pilot import load_exported
 from aerial_gym.rl_training.evaluate import evaluate
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import ACTIONS, task_registry
-from tests.unit.export.policies import HOVER, drawn_policy, hover, hovering_policy, layout, training
+from tests.unit.export.policies import (
+    HOVER,
+    TRANSFORMS,
+    drawn_policy,
+    hover,
+    hovering_policy,
+    layout,
+    training,
+)
 from tests.unit.task.hover import built
 
 COMPILER = pytest.mark.skipif(which("gcc") is None and which("cc") is None, reason="needs a C compiler")
@@ -43,6 +51,7 @@ def test_c_and_torchscript_give_what_torch_gives(activation: str, memory: int, n
         assert each.not_checked is None, each
         assert each.largest_difference is not None
         assert each.largest_difference < TOLERANCE, each
+        assert each.agrees, each
     text = (tmp_path / "hover.c").read_text()
     assert "alloc" not in text
     assert max(map(len, text.splitlines())) < 140
@@ -56,47 +65,11 @@ def test_onnx_gives_what_torch_gives(memory: int, tmp_path: Path) -> None:
     (found,) = write_policy(policy, layout(policy), tmp_path, ["onnx"])
     assert found.largest_difference is not None
     assert found.largest_difference < TOLERANCE
+    assert found.agrees
 
 
 @COMPILER
-@pytest.mark.parametrize(
-    ("action", "controller"),
-    [
-        (ActionCfg(), "lee_attitude_control"),
-        (
-            ActionCfg(
-                transform="forward_flight", params={"max_speed": 2.0, "max_inclination": 0.7, "max_yaw_rate": 1.0}
-            ),
-            "lee_velocity_control",
-        ),
-        (
-            ActionCfg(transform="affine", params={"low": [-1.0, -0.5, -3.0, 0.0], "high": [2.0, 0.5, 1.0, 0.25]}),
-            "lee_attitude_control",
-        ),
-        (
-            ActionCfg(transform="affine", params={"low": [-1.0] * 4, "high": [2.0] * 4, "order": [2, 0, 3, 1]}),
-            "lee_attitude_control",
-        ),
-        (
-            ActionCfg(
-                transform="four_places",
-                params={
-                    "low": [0.1, -2.0, 0.0, -1.0],
-                    "high": [2.0, 2.0, 1.0, 1.5],
-                    "mix": [
-                        [0.7, 0.2, 0.1, 0.3],
-                        [-0.4, 0.9, -0.3, 0.1],
-                        [0.5, -0.9, 0.2, 0.1],
-                        [0.3, 0.3, -0.8, -0.7],
-                    ],
-                    "speeds": [True, True, False, False],
-                },
-            ),
-            "lee_attitude_control",
-        ),
-    ],
-    ids=["direct", "forward_flight", "affine", "affine in another order", "four places"],
-)
+@pytest.mark.parametrize(("action", "controller"), list(TRANSFORMS.values()), ids=list(TRANSFORMS))
 def test_commands_are_those_of_the_task(action: ActionCfg, controller: str, tmp_path: Path) -> None:
     """Transform and limits are inside: what comes out is what the controller of the simulation takes."""
     cfg = replace(HOVER, action=action, controller=controller)

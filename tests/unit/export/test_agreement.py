@@ -1,0 +1,206 @@
+"""Which exported files pass as the policy, and which do not."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from math import inf, nan
+from pathlib import Path
+from shutil import which
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from aerial_gym.cli.export import ExportCmd
+from aerial_gym.export import export
+from aerial_gym.export.agreement import FACTOR, UNIT, Comparison
+from aerial_gym.export.c99 import _ACTIVATIONS
+from aerial_gym.export.encoder import compare_encoder, write_encoder
+from aerial_gym.export.export import Exported, compare, write_policy
+from aerial_gym.export.layout import Layout
+from aerial_gym.export.module import FlownPolicy
+from aerial_gym.rl_training.policies.policy import Policy
+from aerial_gym.sensors.encoder.file import Encoder, SeenCfg
+from aerial_gym.sensors.encoder.network import Autoencoder, AutoencoderCfg
+from tests.unit.export.policies import drawn_policy, layout, layout_with
+
+COMPILER = pytest.mark.skipif(which("gcc") is None and which("cc") is None, reason="needs a C compiler")
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compare 5,000 observations in place of 100,000."""
+    monkeypatch.setattr(export, "CHECKED", 5_000)
+
+
+def compared(exact: list[float], rounded: list[float], found: list[float]) -> Comparison:
+    comparison = Comparison(["x"])
+    comparison.add(
+        torch.tensor(exact, dtype=torch.float64)[:, None], torch.tensor(rounded)[:, None], torch.tensor(found)[:, None]
+    )
+    return comparison
+
+
+def test_the_limit_is_that_of_float32() -> None:
+    """Error 0.02, rounding 0.001 and range 8: limit FACTOR (0.001 + 8 2^-23)."""
+    worst = compared([0.0, 8.0], [0.001, 8.0], [0.02, 8.0]).worst
+    assert worst.error == pytest.approx(0.02)
+    assert worst.rounding == pytest.approx(0.001)
+    assert worst.span == 8.0
+    assert worst.limit == pytest.approx(FACTOR * (0.001 + 8.0 * UNIT), rel=1e-6)
+    assert not worst.holds
+    assert compared([0.0, 8.0], [0.001, 8.0], [0.009, 8.0]).worst.holds
+
+
+@pytest.mark.parametrize("bad", [nan, inf])
+def test_nan_in_a_file_does_not_pass(bad: float) -> None:
+    assert not compared([0.0, 8.0], [0.0, 8.0], [0.0, bad]).worst.holds
+
+
+@pytest.mark.parametrize(("found", "status"), [(0.009, 0), (0.02, 1), (nan, 1)])
+def test_the_command_ends_with_status_1_for_a_file_that_does_not_pass(
+    found: float, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "hover.pt"
+    file.write_bytes(b"")
+    worst = compared([0.0, 8.0], [0.001, 8.0], [found, 8.0]).worst
+    written = [Exported(to="torchscript", file=file, largest_difference=found, agreement=worst)]
+    monkeypatch.setattr(export, "export_policy", lambda *_, **__: written)
+    assert ExportCmd(policy=tmp_path, json=True).run() == status
+    out, err = capsys.readouterr()
+    assert json.loads(out)["agrees"] is (status == 0)
+    assert ("hover.pt" in err) == (status == 1)
+
+
+def test_a_constant_output_passes_only_unchanged() -> None:
+    assert compared([0.0, 0.0], [0.0, 0.0], [0.0, 0.0]).worst.holds
+    assert not compared([0.0, 0.0], [0.0, 0.0], [0.0, 1e-9]).worst.holds
+
+
+def test_each_output_has_a_limit_of_its_own() -> None:
+    """An angle that is wrong by a fifth is not hidden beside a rotor speed."""
+    comparison = Comparison(["speed", "angle"])
+    exact = torch.tensor([[0.0, 0.0], [3000.0, 1e-4]], dtype=torch.float64)
+    found = torch.tensor([[1e-4, 2e-5], [3000.0, 1e-4]])
+    comparison.add(exact, exact.float(), found)
+    assert (comparison.worst.output, comparison.worst.holds) == ("angle", False)
+    comparison = Comparison(["speed", "angle"])
+    comparison.add(exact, exact.float(), torch.tensor([[1e-4, 0.0], [3000.0, 1e-4]]))
+    assert comparison.worst.holds
+
+
+def test_a_number_for_an_input_that_is_not_finite_does_not_pass() -> None:
+    comparison = compared([0.0, 8.0], [0.0, 8.0], [0.0, 8.0])
+    comparison.add_not_finite(torch.tensor([[nan], [nan]]))
+    assert comparison.worst.holds
+    comparison.add_not_finite(torch.tensor([[nan], [0.3]]))
+    assert not comparison.worst.holds
+
+
+def large(policy: Policy) -> Policy:
+    """Return a policy with weights that are ten times as large: float32 itself is 1e-4 off."""
+    for layer in policy.body.layers:
+        if isinstance(layer, nn.Linear):
+            layer.weight.data *= 10.0
+    return policy
+
+
+GOOD: dict[str, Callable[[], tuple[Policy, Layout]]] = {
+    "commands in rad/s": lambda: _with(drawn_policy(), "affine", low=[0.0] * 4, high=[3000.0] * 4),
+    "roots of thrust shares": lambda: _with(drawn_policy(), "four_places", low=[0.0] * 4, high=[3000.0] * 4),
+    "large weights": lambda: _with(large(drawn_policy(activation="relu")), "direct"),
+    "large weights and a memory": lambda: _with(large(drawn_policy(memory=16)), "direct"),
+    "small commands": lambda: _with(drawn_policy(activation="tanh"), "affine", low=[0.0] * 4, high=[1e-6] * 4),
+    "offset commands": lambda: _with(drawn_policy(), "affine", low=[1000.0] * 4, high=[1000.1] * 4),
+}
+
+
+def _with(policy: Policy, name: str, **params: list[float]) -> tuple[Policy, Layout]:
+    return policy, layout_with(policy, name, **params)
+
+
+@COMPILER
+@pytest.mark.parametrize("name", list(GOOD))
+def test_good_files_pass(name: str, tmp_path: Path) -> None:
+    policy, made = GOOD[name]()
+    for each in write_policy(policy, made, tmp_path, ["c99", "torchscript"]):
+        assert each.agrees, each
+
+
+@pytest.mark.slow
+def test_good_onnx_files_pass(tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnxscript")
+    policy, made = GOOD["commands in rad/s"]()
+    (written,) = write_policy(policy, made, tmp_path, ["onnx"])
+    assert written.agrees, written
+
+
+def _swapped(weight: Tensor) -> None:
+    weight[:, [0, 1]] = weight[:, [1, 0]]
+
+
+def _no_normalizer(policy: Policy) -> None:
+    policy.body.normalizers["observations"].set(torch.zeros(13), torch.ones(13))  # pyright: ignore
+
+
+def _other_limit(policy: Policy) -> None:
+    policy.body.normalizers["observations"].limit = 1e9
+
+
+def _other_activation(policy: Policy) -> None:
+    policy.body.layers[1], policy.body.cfg = nn.ReLU(), replace(policy.body.cfg, activation="relu")
+
+
+WRONG: dict[str, Callable[[Policy], object]] = {
+    "swapped inputs": lambda policy: _swapped(policy.body.layers[0].weight.data),
+    "swapped weights of the head": lambda policy: _swapped(policy.head.weight.data),
+    "no normaliser": _no_normalizer,
+    "no limit behind the normaliser": _other_limit,
+    "another activation": _other_activation,
+    "one weight 1 % larger": lambda policy: policy.body.layers[2].weight.data[3, 5].mul_(1.01),
+    "no bias of one action": lambda policy: policy.head.bias.data[3].zero_(),
+    "weights of 16 bits": lambda policy: policy.head.weight.data.copy_(policy.head.weight.half().float()),
+    "forgotten memory": lambda policy: policy.body.cell.weight_hh.data.zero_(),  # pyright: ignore
+}
+
+
+@COMPILER
+@pytest.mark.parametrize(("name", "to"), [(name, ("c99", "torchscript")[i % 2]) for i, name in enumerate(WRONG)])
+def test_wrong_files_do_not_pass(name: str, to: str, tmp_path: Path) -> None:
+    """A file of a policy that was changed after it, with commands up to 3000 rad/s."""
+    memory = 8 if name == "forgotten memory" else 0
+    wrong, right = drawn_policy(memory=memory), drawn_policy(memory=memory)
+    made = layout_with(right, "affine", low=[0.0] * 4, high=[3000.0] * 4)
+    WRONG[name](wrong)
+    (written,) = write_policy(wrong, made, tmp_path, [to], check=False)
+    worst = compare(FlownPolicy(right, made).eval(), made, written.file).worst
+    assert not worst.holds, worst
+
+
+@COMPILER
+def test_an_activation_that_hides_nan_does_not_pass(tmp_path: Path) -> None:
+    policy = drawn_policy(activation="relu", normalize=False)
+    made = layout(policy)
+    (written,) = write_policy(policy, made, tmp_path, ["c99"], check=False)
+    text = written.file.read_text()
+    assert _ACTIVATIONS["relu"] in text
+    hiding = text.replace("if (!finite)", "if (0)").replace("x < 0.0f ? 0.0f : x", "x > 0.0f ? x : 0.0f")
+    written.file.write_text(hiding)
+    worst = compare(FlownPolicy(policy, made).eval(), made, written.file).worst
+    assert worst.error == inf
+    assert not worst.holds
+
+
+@pytest.mark.parametrize("ending", [".pt", pytest.param(".c", marks=COMPILER)])
+def test_encoders(ending: str, tmp_path: Path) -> None:
+    torch.manual_seed(2)
+    cfg = AutoencoderCfg(rows=21, columns=38, latents=5, channels=(4, 6, 8), activation="elu")
+    seen = SeenCfg(model="pinhole", kind="range", rows=21, columns=38, max_range=10.0, hfov_deg=87.0)
+    encoder = Encoder(Autoencoder(cfg), seen, trained={})
+    encoder.save(tmp_path / "small.pt")
+    file = write_encoder(str(tmp_path / "small.pt"), tmp_path / f"small_encoder{ending}")
+    assert compare_encoder(encoder, file).worst.holds
+    other = Encoder(Autoencoder(replace(cfg, activation="relu")), seen, trained={})
+    other.load_state_dict(encoder.state_dict())
+    assert not compare_encoder(other, file).worst.holds
