@@ -88,7 +88,7 @@ def set_level(module: wp.Module) -> None:
 
 def set_levels() -> None:
     """Optimise the modules of all kernels that were begun as far as is wanted now."""
-    for module, _ in launches._begun:
+    for module, *_ in launches._begun:
         set_level(module)
         module.mark_modified()
 

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from functools import cache
 from importlib import import_module
+from inspect import ismodule
 from pathlib import Path
 
 import pytest
@@ -154,8 +155,9 @@ def test_every_name_of_a_package_is_there() -> None:
         package = import_module(".".join(init.parent.relative_to(ROOT.parent).parts))
         for name in getattr(package, "__all__", ()):
             assert name in dir(package), (package.__name__, name)
-            if "exports(" in init.read_text():
-                assert not (init.parent / f"{name}.py").exists(), f"{package.__name__}.{name} would be the module"
+            if (init.parent / f"{name}.py").exists():
+                import_module(f"{package.__name__}.{name}")
+                assert not ismodule(getattr(package, name)), f"{package.__name__}.{name} is the module"
             getattr(package, name)
 
 

@@ -13,6 +13,7 @@ from typing import Protocol
 import torch
 
 from aerial_gym.errors import AerialGymError, ConfigError
+from aerial_gym.interop import wait_for_all
 
 WARM_UP_CALLS = 3
 """Calls before a capture: kernels are compiled and buffers made, which a graph cannot hold."""
@@ -113,6 +114,7 @@ def batch_of(call: Callable[[], None], launches: int, device: torch.device) -> C
         with torch.cuda.stream(side):
             _repeat(call, WARM_UP_CALLS)
         torch.cuda.current_stream(device).wait_stream(side)
+        wait_for_all()
         graph = torch.cuda.CUDAGraph()
         with torch.cuda.graph(graph):
             _repeat(call, launches)

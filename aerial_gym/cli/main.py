@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from aerial_gym import __version__
+from aerial_gym.cli import process
 from aerial_gym.errors import AerialGymError, StorageError, TrainingError
 from aerial_gym.lazy import Home
 
@@ -113,6 +114,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def entry() -> None:
     """Console script."""
+    process.begin()
     sys.exit(main())
 
 

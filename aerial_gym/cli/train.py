@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+from aerial_gym.cli.process import started_at
 from aerial_gym.errors import ConfigError
+from aerial_gym.lazy import no_garbage
 
 if TYPE_CHECKING:
     from aerial_gym.rl_training.settings import TrainingCfg
@@ -88,11 +90,17 @@ class TrainCmd:
 
     def run(self) -> int:
         """Train and print where the policy lies; return the exit status, 1 if it was interrupted."""
-        from aerial_gym.rl_training.ranks import launched_rank
-        from aerial_gym.rl_training.run.run_folder import RunFolder
-        from aerial_gym.rl_training.settings import load_settings, settings_for
-        from aerial_gym.rl_training.training import train
-        from aerial_gym.task import task_registry
+        with no_garbage():
+            import warp  # noqa: F401  # first, as a thread loads PyTorch's libraries meanwhile (``cli.process``)
+
+            import aerial_gym.config.environment
+            import aerial_gym.config.robot
+            import aerial_gym.config.task  # noqa: F401
+            from aerial_gym.rl_training.ranks import launched_rank
+            from aerial_gym.rl_training.run.run_folder import RunFolder
+            from aerial_gym.rl_training.settings import load_settings, settings_for
+            from aerial_gym.rl_training.training import train
+            from aerial_gym.task import task_registry
 
         task = TASK if self.task is None else self.task
         task_registry.get(task)
@@ -123,7 +131,14 @@ class TrainCmd:
         for name, run in (("teacher", self.teacher), ("initial", self.initial)):
             if run is not None:
                 given[name] = str(run.resolve())
-        result = train(replace(cfg, **given), self.out, resume=self.resume, watch=self.watch, wandb=self.wandb)
+        result = train(
+            replace(cfg, **given),
+            self.out,
+            resume=self.resume,
+            watch=self.watch,
+            wandb=self.wandb,
+            started=started_at(),
+        )
         if launched_rank() == 0:
             self._tell(result)
         return 1 if result.interrupted else 0

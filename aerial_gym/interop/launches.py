@@ -1,7 +1,7 @@
 """Launches that are recorded once and repeated, and the compilation of their kernels beside other work.
 
-Warp compiles a module when one of its kernels is first launched or recorded, while everything else waits. Here a launch on a
-CPU is recorded at its first use, and its module is compiled meanwhile, side by side with others.
+Warp compiles a module when one of its kernels is first launched or recorded, while everything else waits. Here a launch is
+recorded at its first use. Threads compile its module meanwhile, side by side with others.
 """
 
 import os
@@ -23,7 +23,8 @@ LONGEST_SEARCHED = 2000
 """Lines of a kernel up to which a compiler for CPUs looks for operations to do side by side. Most have tens to some hundreds,
 and gain; over the 3700 of 337 observations it takes 45 s in place of 6."""
 
-_begun: dict[tuple[wp.Module, str], Future[None]] = {}
+_begun: dict[tuple[wp.Module, str, int | None], Future[None]] = {}
+"""By module, device and threads of a block, for each of which a GPU has a module of its own; None on a CPU."""
 
 
 @cache
@@ -41,18 +42,24 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_forget)
 
 
-def compile_ahead(kernel: wp.Kernel, device: wp.Device) -> None:
-    """Begin to compile a kernel that a CPU will need, or to fetch it from Warp's cache, and wait for nothing.
+def compile_ahead(kernel: wp.Kernel, device: wp.Device, *, block_dim: int = 256) -> None:
+    """Start to compile a kernel that a device will need, or to fetch it from Warp's cache, and wait for nothing."""
+    key = _key(kernel, device, block_dim)
+    if key in _begun:
+        return
+    if (
+        device.is_cpu and wp.config.cpu_compiler_flags is not None
+    ):  # one set for nearly all: headers are precompiled for each
+        kernel.module.options["cpu_compiler_flags"] = " ".join(
+            (wp.config.cpu_compiler_flags, NO_BFLOAT16, *_own_flags(kernel))
+        )
+    _begun[key] = _workers().submit(
+        wp.force_load, device=device, modules=[kernel.module], block_dim=key[2], max_workers=0
+    )
 
-    On a GPU nothing happens: its kernels are compiled when they are recorded.
-    """
-    key = (kernel.module, device.alias)
-    if device.is_cpu and key not in _begun:
-        if wp.config.cpu_compiler_flags is not None:  # one set for nearly all: headers are precompiled for each
-            kernel.module.options["cpu_compiler_flags"] = " ".join(
-                (wp.config.cpu_compiler_flags, NO_BFLOAT16, *_own_flags(kernel))
-            )
-        _begun[key] = _workers().submit(wp.force_load, device=device, modules=[kernel.module], max_workers=0)
+
+def _key(kernel: wp.Kernel, device: wp.Device, block_dim: int) -> tuple[wp.Module, str, int | None]:
+    return kernel.module, device.alias, None if device.is_cpu else block_dim
 
 
 def _own_flags(kernel: wp.Kernel) -> tuple[str, ...]:
@@ -60,17 +67,22 @@ def _own_flags(kernel: wp.Kernel) -> tuple[str, ...]:
     return ("-fno-slp-vectorize",) if kernel.adj.source.count("\n") > LONGEST_SEARCHED else ()
 
 
-def wait_for(kernel: wp.Kernel, device: wp.Device) -> None:
+def wait_for(kernel: wp.Kernel, device: wp.Device, *, block_dim: int = 256) -> None:
     """Wait until a kernel of ``compile_ahead`` can be launched. If it cannot be compiled, its launch says why."""
-    begun = _begun.get((kernel.module, device.alias))
+    begun = _begun.get(_key(kernel, device, block_dim))
     if begun is not None:
         wait([begun])
+
+
+def wait_for_all() -> None:
+    """Wait for all kernels of ``compile_ahead``: a GPU loads none while a CUDA graph is recorded."""
+    wait(_begun.values())
 
 
 class RecordedLaunch:
     """A launch with everything fixed, to be repeated.
 
-    On a CPU its kernel may still be compiled when this is made; the first use waits for it.
+    Its kernel may still be compiled when this is made; the first use waits for it.
     """
 
     def __init__(
@@ -91,14 +103,12 @@ class RecordedLaunch:
         self._kernel, self._device = kernel, device
         self._given = {"dim": dim, "inputs": inputs, "outputs": outputs, "block_dim": block_dim}
         self._launch = wp.launch_tiled if tiled else wp.launch
-        compile_ahead(kernel, device)
-        if not device.is_cpu:
-            _ = self.command
+        compile_ahead(kernel, device, block_dim=block_dim)
 
     @cached_property
     def command(self) -> wp.Launch:
         """What Warp recorded."""
-        wait_for(self._kernel, self._device)
+        wait_for(self._kernel, self._device, block_dim=self._given["block_dim"])
         command = self._launch(self._kernel, device=self._device, record_cmd=True, **self._given)
         assert isinstance(command, wp.Launch)
         del self._given

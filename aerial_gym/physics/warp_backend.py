@@ -189,7 +189,7 @@ class WarpBackend:
                 differentiable=self._differentiable,
             )
         if not self._differentiable:
-            compile_ahead(self.kernel, wp.device_from_torch(self._device))
+            compile_ahead(self.kernel, wp.device_from_torch(self._device), block_dim=BLOCK_DIM)
         self._binding: _Binding | None = None
 
     def _ground_arrays(self, ground: Ground | None) -> _GroundArrays:

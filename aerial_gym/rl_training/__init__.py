@@ -1,11 +1,18 @@
 """Learning: adapters to Gymnasium, rl-games and Sample Factory, training runs, policies and their evaluation."""
 
+from typing import TYPE_CHECKING
+
+from aerial_gym.lazy import exports
+
+# Imported at once: a module that is imported later hides the function of its name.
 from aerial_gym.rl_training.evaluate import Evaluation, evaluate
-from aerial_gym.rl_training.gymnasium import GymnasiumVectorEnv
-from aerial_gym.rl_training.policies.load import load_policy
-from aerial_gym.rl_training.policies.policy import Policy
-from aerial_gym.rl_training.settings import ApgCfg, PpoCfg, TrainingCfg, load_settings, settings_for
-from aerial_gym.rl_training.training import TrainingResult, train
+
+if TYPE_CHECKING:
+    from aerial_gym.rl_training.gymnasium import GymnasiumVectorEnv
+    from aerial_gym.rl_training.policies.load import load_policy
+    from aerial_gym.rl_training.policies.policy import Policy
+    from aerial_gym.rl_training.settings import ApgCfg, PpoCfg, TrainingCfg, load_settings, settings_for
+    from aerial_gym.rl_training.training import TrainingResult, train
 
 __all__ = [
     "ApgCfg",
@@ -21,3 +28,5 @@ __all__ = [
     "settings_for",
     "train",
 ]
+
+__getattr__, __dir__ = exports(__name__, __file__)

@@ -19,6 +19,7 @@ import torch
 from aerial_gym.config.storage import told_storage, write_whole
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.errors import AerialGymError, ConfigError, MissingDependencyError, StorageError, TrainingError
+from aerial_gym.interop import resolve_device
 from aerial_gym.physics import BACKENDS
 from aerial_gym.rl_training.policies.load import checkpoint_of, load_policy
 from aerial_gym.rl_training.ranks import Ranks, joined_ranks, own_device
@@ -82,6 +83,7 @@ def train(
     show_progress: bool = True,
     watch: bool = False,
     wandb: str | None = None,
+    started: float | None = None,
 ) -> TrainingResult:
     """Train a policy and leave a run folder; seeds the global random generators while it runs.
 
@@ -92,6 +94,7 @@ def train(
         show_progress: Whether to draw a bar on stderr.
         watch: Whether to write the last steps of rows that were not finite to ``non_finite.csv``.
         wandb: Project of Weights & Biases that receives the scalars.
+        started: Reading of ``time.perf_counter`` at which ``max_time_s`` begins to count [s]; this call's start if not given.
 
     Raises:
         ConfigError: If the folder holds a run and ``resume`` is off, or no checkpoint of it can be read.
@@ -99,7 +102,7 @@ def train(
         MissingDependencyError: If the trainer's package is not installed.
         StorageError: If the disk is full.
     """
-    started = time.perf_counter()
+    started = time.perf_counter() if started is None else started
     _check_names(cfg, resume=resume)
     require_trainer(cfg.trainer)
     if wandb is not None:
@@ -230,6 +233,8 @@ def _run(
     torch.manual_seed(seed)
     np.random.seed(seed)
     random.seed(seed)
+    if cfg.trainer == "ppo":
+        adapter.prepare(resolve_device(own_device(cfg.device)))
     with task_registry.make_task(
         cfg.task,
         num_envs=cfg.num_envs,

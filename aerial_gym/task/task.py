@@ -146,12 +146,20 @@ class Task:
         plain = self.values.graph is None
         self._capture_at_reset = self.device.type == "cuda" and plain if capture is None else capture
 
+    @property
+    def observation_shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of an observation of one environment, by key."""
+        images = {name: tuple(frames.shape[1:]) for name, frames in self._images.frames.items()}
+        return {key: (width,) for key, width in self._widths.items()} | images
+
+    @property
+    def _widths(self) -> dict[str, int]:
+        return {key_of(name): self._observer.width(name) for name in self._observer.groups}
+
     @cached_property
     def observation_space(self) -> "spaces.Dict":
         """Space of an observation of one environment; Gymnasium is imported when it is asked for."""
-        return observation_space(
-            {key_of(name): self._observer.width(name) for name in self._observer.groups}, self._images
-        )
+        return observation_space(self._widths, self._images)
 
     @cached_property
     def action_space(self) -> "spaces.Box":

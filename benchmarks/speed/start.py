@@ -1,13 +1,16 @@
 """``python -m benchmarks.speed.start``: how long a task takes from the start of the process to its tenth step, part by part.
 
-With ``--readme`` the example of README.md runs instead, to the first step of its environment and of its task. Run either twice:
-the first run of a machine compiles kernels (``WARP_CACHE_PATH=$(mktemp -d)`` makes any run a first one).
+With ``--readme`` the example of README.md runs instead, to the first step of its environment and of its task. With ``--train``
+a training with ``ppo`` runs instead, as ``aerial-gym train`` does it, and its policy is evaluated. Run any of them twice: the
+first run of a machine compiles kernels. ``--cold`` makes any run a first one.
 """
 
 import argparse
 import ast
 import json
+import os
 import re
+import tempfile
 import time
 from collections.abc import Callable
 from contextlib import redirect_stdout
@@ -67,10 +70,59 @@ def _run_task(asked: argparse.Namespace, note: Callable[[str], None]) -> dict[st
     return {"task": asked.task, "device": str(task.device), "captured": task.captured}
 
 
+def _run_training(asked: argparse.Namespace, note: Callable[[str], None]) -> dict[str, object]:
+    """Train for ``--train-s`` after the first iteration; the evaluation is not timed."""
+    from aerial_gym.interop.preload import preload
+    from aerial_gym.lazy import no_garbage
+
+    preload(asked.device)
+    with no_garbage():
+        import warp  # noqa: F401
+
+        import aerial_gym.config.environment
+        import aerial_gym.config.robot
+        import aerial_gym.config.task  # noqa: F401
+
+        note("warp")
+        import torch
+
+        note("torch")
+        from aerial_gym.rl_training import evaluate, load_settings, settings_for
+        from aerial_gym.rl_training.trainers import ppo
+        from aerial_gym.task import task_registry
+    note("imports")
+    cfg = load_settings(settings_for("ppo", asked.task, device=asked.device))
+    torch.set_num_threads(cfg.torch_threads or torch.get_num_threads())
+    device = torch.device(asked.device)
+    ppo.prepare(device)
+    torch.manual_seed(asked.seed)
+    task = task_registry.make_task(cfg.task, num_envs=cfg.num_envs, device=asked.device, seed=asked.seed, capture=False)
+    note("build")
+    training = ppo.make_training(cfg, task)
+    for part in ("first_iteration", "recording"):
+        training._repeat()
+        float(training.learner.sums[0])  # waits for the device
+        note(part)
+    end = time.perf_counter() + asked.train_s
+    while time.perf_counter() < end:
+        training.learner.time_share.fill_(1.0 - (end - time.perf_counter()) / asked.train_s)
+        training.advance()
+    float(training.learner.sums[0])
+    note("trained")
+    found = evaluate(training.learner.network.actor, task_registry.make_task(
+        cfg.task, num_envs=1000, device=asked.device, seed=asked.seed + 1
+    ))  # fmt: skip
+    return {"training": cfg.task, "device": asked.device, "final_error_mean_m": found.final_error_mean_m}
+
+
 def main() -> None:
     """Print one JSON object; every number is the time since the process began [s], ``processor_s`` that of its threads."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--readme", action="store_true")
+    parser.add_argument("--train", action="store_true")
+    parser.add_argument("--train-s", type=float, default=0.5)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--cold", action="store_true", help="with empty caches of kernels")
     parser.add_argument("--task", default="position_setpoint_task")
     parser.add_argument("--num-envs", type=int, default=4096)
     parser.add_argument("--device", default="auto")
@@ -81,7 +133,15 @@ def main() -> None:
     def note(what: str) -> None:
         since[f"{what}_s"] = round(time.perf_counter() - _BEGIN, 2)
 
-    what = _run_readme(asked.device, note) if asked.readme else _run_task(asked, note)
+    if asked.cold:
+        os.environ.update({name: tempfile.mkdtemp() for name in ("WARP_CACHE_PATH", "TRITON_CACHE_DIR")})
+    what = (
+        _run_readme(asked.device, note)
+        if asked.readme
+        else _run_training(asked, note)
+        if asked.train
+        else _run_task(asked, note)
+    )
     print(json.dumps({**what, **since, "processor_s": round(time.process_time(), 2)}))
 
 

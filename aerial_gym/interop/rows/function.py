@@ -97,7 +97,8 @@ class RowFunction:
         self.outputs = [(shape, dtype) for _, shape, dtype in traced.outputs]
         self.kernel = _kernel(source.code, source.names, made, beside)
         """It as Warp has it."""
-        compile_ahead(self.kernel, wp.device_from_torch(next(tensor for tensor in inputs if tensor.ndim).device))
+        device = wp.device_from_torch(next(tensor for tensor in inputs if tensor.ndim).device)
+        compile_ahead(self.kernel, device, block_dim=self._block_dim)
         self._ready = False
         self._fresh = fresh
         self._recorded: tuple[int, wp.Launch] | None = None
@@ -139,7 +140,7 @@ class RowFunction:
         """Return the device as Warp knows it, on which the kernel is ready."""
         target = wp.device_from_torch(device)
         if not self._ready:
-            wait_for(self.kernel, target)
+            wait_for(self.kernel, target, block_dim=self._block_dim)
             self._ready = True
         return target
 

@@ -3,9 +3,13 @@
 Letters: T steps, E environments, O entries of what a network sees, U entries of an action, P weights, B blocks.
 """
 
+import contextlib
 import importlib.util
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
+from threading import Thread
 from typing import Any
 
 import torch
@@ -38,6 +42,24 @@ POLICY, CRITIC = "policy", "critic"
 
 PRECISION, BACKWARD_PRECISION = "tf32x3", "tf32"
 """Of products: the probability ratio compares two passes forward, so that these are as exact as float32."""
+
+
+def prepare(device: torch.device) -> None:
+    """Start Triton on a thread, so that it is ready when the networks are: it hashes its own files, which takes 0.4 s."""
+    if device.type == "cuda" and importlib.util.find_spec("triton") is not None:
+        Thread(target=_start_triton, args=(device,), name="triton", daemon=True).start()
+
+
+def _start_triton(device: torch.device) -> None:
+    from aerial_gym.rl_training.learning import kernels
+
+    torch.cuda.set_device(device)
+    with contextlib.suppress(Exception):  # what is wrong is said where the networks are compiled
+        kernels.nothing.warmup(torch.float32, grid=(1,))
+
+
+def _launcher(kernel: Any, grid: tuple[int, ...], *, compile_only: bool) -> Callable[..., object]:
+    return partial(kernel.warmup, grid=grid) if compile_only else kernel[grid]
 
 
 def why_not_fused(ppo: PpoCfg, network: ActorCritic, device: torch.device) -> str | None:
@@ -88,16 +110,46 @@ class FusedPpo(Ppo):
         device = task.device
         processors = torch.cuda.get_device_properties(device).multi_processor_count if device.type == "cuda" else 2
         self._partial = torch.zeros(BLOCKS_EACH * processors, self._adam.weights.numel() + 3, device=device)
+        self._compiling = self._compile() if device.type == "cuda" else []
+
+    def _compile(self) -> list[Future[Any]]:
+        """Start to compile the kernels side by side, and return what to wait for; Triton keeps them for the first launches."""
+        ppo, envs, width = self._ppo, self._task.num_envs, self._task.num_actions
+        seen = [self._partial.new_empty(ppo.horizon, envs, num_in) for num_in in self._num_in]
+        action, row = self._partial.new_empty(ppo.horizon, envs, width), self._partial.new_empty(ppo.horizon, envs)
+        chosen = torch.empty(-(-envs // ppo.num_minibatches), dtype=torch.int64, device=row.device)
+        old: dict[str, Tensor] = {"action": action, "mean": action}
+        old |= dict.fromkeys(("log_prob", "advantage", "value", "target"), row)
+        samples = Samples(prepared=dict(zip((POLICY, CRITIC), seen, strict=True)), in_time=old, memory=row)
+        forward, gradient = self._launch_forward, self._launch_gradient
+        threads = ThreadPoolExecutor(3, "triton", initializer=torch.cuda.set_device, initargs=(row.device,))
+        compiling = [
+            threads.submit(forward, seen[0][0], 0, action[0], compile_only=True),
+            threads.submit(forward, seen[1], 1, None, compile_only=True),
+            threads.submit(gradient, samples, chosen, action[0, 0], compile_only=True),
+        ]
+        threads.shutdown(wait=False)
+        return compiling
+
+    def iterate(self) -> None:
+        """Fly one segment and learn from it."""
+        while self._compiling:
+            self._compiling.pop().result()
+        super().iterate()
 
     def _forward(self, seen: Tensor, network: int, noise: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
         """Return what network 0 or 1 makes of observations (..., O), and with noise, (..., U), actions and commands."""
-        seen = seen.contiguous()
+        return self._launch_forward(seen.contiguous(), network, noise)
+
+    def _launch_forward(
+        self, seen: Tensor, network: int, noise: Tensor | None, *, compile_only: bool = False
+    ) -> tuple[Tensor, Tensor, Tensor]:
         width = self._task.num_actions if network == 0 else 1
         out = seen.new_empty(*seen.shape[:-1], width)
         action, command = (out, out) if noise is None else (torch.empty_like(out), torch.empty_like(out))
         samples = out.numel() // width
         grid = (-(-samples // FORWARD_TILE["tile"]),)
-        self._kernels.forward[grid](
+        _launcher(self._kernels.forward, grid, compile_only=compile_only)(
             self._adam.weights, seen, out if noise is None else noise, samples, *self._places[network], self._log_std,
             out, action, command, num_in=self._num_in[network], num_out=width, draws=noise is not None,
             **self._sizes, **FORWARD_TILE,
@@ -132,19 +184,24 @@ class FusedPpo(Ppo):
         return replace(samples, prepared=vectors)
 
     def _gradient(self, samples: Samples, chosen: Tensor, old_log_std: Tensor) -> tuple[Tensor, Tensor]:
-        ppo, old, partial = self._ppo, samples.in_time, self._partial
+        number = samples.in_time["log_prob"].shape[0] * chosen.numel()
+        self._launch_gradient(samples, chosen.contiguous(), old_log_std)
+        whole = self._partial.sum(0)
+        return whole[:-3], whole[-3:] / number
+
+    def _launch_gradient(
+        self, samples: Samples, chosen: Tensor, old_log_std: Tensor, *, compile_only: bool = False
+    ) -> None:
+        ppo, old, out = self._ppo, samples.in_time, self._partial
         steps, envs = old["log_prob"].shape
-        number, width = steps * chosen.numel(), partial.shape[1]
-        self._kernels.gradient[(partial.shape[0], 2)](
-            self._adam.weights, chosen.contiguous(), samples.prepared[POLICY], samples.prepared[CRITIC],
+        _launcher(self._kernels.gradient, (out.shape[0], 2), compile_only=compile_only)(
+            self._adam.weights, chosen, samples.prepared[POLICY], samples.prepared[CRITIC],
             old["action"], old["mean"], old_log_std, old["log_prob"], old["advantage"], old["value"], old["target"],
-            chosen.numel(), envs, number, *self._places[0], self._log_std, *self._places[1],
-            ppo.clip_range, ppo.value_coef, ppo.bound_coef, ppo.entropy_coef, BOUND, width,
-            partial, num_in0=self._num_in[0], num_in1=self._num_in[1], num_actions=self._task.num_actions,
+            chosen.numel(), envs, steps * chosen.numel(), *self._places[0], self._log_std, *self._places[1],
+            ppo.clip_range, ppo.value_coef, ppo.bound_coef, ppo.entropy_coef, BOUND, out.shape[1],
+            out, num_in0=self._num_in[0], num_in1=self._num_in[1], num_actions=self._task.num_actions,
             clip_value=ppo.clip_value, backward_precision=BACKWARD_PRECISION, **self._sizes, **GRADIENT_TILE,
         )  # fmt: skip
-        whole = partial.sum(0)
-        return whole[:-3], whole[-3:] / number
 
 
 def _seen_by(network: ActorCritic) -> tuple[Mapping[str, tuple[int, ...]], Mapping[str, tuple[int, ...]]]:

@@ -6,8 +6,9 @@ from collections.abc import Callable
 import torch
 
 from aerial_gym.errors import CapabilityError
+from aerial_gym.interop import wait_for_all
 
-WARM_UP_ITERATIONS = 2
+WARM_UP_ITERATIONS = 1
 """Iterations before the recording, in which kernels are compiled and memory is taken; they count as all others do."""
 
 _log = logging.getLogger(__name__)
@@ -58,6 +59,7 @@ class Repeated:
             CapabilityError: If something in an iteration waits for the GPU.
         """
         if self._graph is None:
+            wait_for_all()
             graph = torch.cuda.CUDAGraph()
             graph.register_generator_state(self._generator)
             try:

@@ -17,11 +17,10 @@ def make_network(cfg: TrainingCfg, task: Task) -> ActorCritic:
         ConfigError: If the task has no observation of a key.
     """
     learner = cfg.learner
-    spaces = task.observation_space.spaces
+    shapes = task.observation_shapes
     for key in (*learner.policy_keys, *learner.critic_keys):
-        if key not in spaces:
-            raise ConfigError(f"task {cfg.task} has no observation {key!r}. Known: {', '.join(sorted(spaces))}")
-    shapes = {key: tuple(space.shape or ()) for key, space in spaces.items()}
+        if key not in shapes:
+            raise ConfigError(f"task {cfg.task} has no observation {key!r}. Known: {', '.join(sorted(shapes))}")
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(cfg.seed)
         acting = body_cfg(cfg, {key: shapes[key] for key in learner.policy_keys})

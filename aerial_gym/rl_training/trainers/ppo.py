@@ -2,13 +2,15 @@
 
 import logging
 
-from aerial_gym.rl_training.learning.fused import FusedPpo, why_not_fused
+from aerial_gym.rl_training.learning.fused import FusedPpo, prepare, why_not_fused
 from aerial_gym.rl_training.learning.network import make_network
 from aerial_gym.rl_training.learning.ppo import Ppo
 from aerial_gym.rl_training.ranks import ALONE, Ranks
 from aerial_gym.rl_training.settings import PpoCfg, TrainingCfg
 from aerial_gym.rl_training.trainers.own import OwnTraining
 from aerial_gym.task import Task
+
+__all__ = ["make_training", "prepare"]
 
 _log = logging.getLogger(__name__)
 

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.errors import CapabilityError, ShapeError
+from aerial_gym.interop import wait_for_all
 from aerial_gym.task.step.by_row import NamedRows
 
 WARM_UP_STEPS = 3
@@ -79,6 +80,7 @@ class StepGraph(Generic[Result]):
             for _ in range(WARM_UP_STEPS):
                 step(self._actions)
         torch.cuda.current_stream(device).wait_stream(stream)
+        wait_for_all()
         self._graph = torch.cuda.CUDAGraph()
         try:
             with torch.cuda.graph(self._graph):

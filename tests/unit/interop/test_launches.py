@@ -123,7 +123,7 @@ def test_what_an_empty_environment_does_not_need_is_not_compiled(idle: wp.Device
     env.reset()
     env.step(torch.zeros(2, 4))
     assert env.gtd["robot_clearance"].tolist() == [inf, inf]
-    names = [module.name for module, _ in launches._begun]
+    names = [module.name for module, *_ in launches._begun]
     assert any("advance" in name for name in names)
     assert not [name for name in names if "walk" in name or "placement" in name]
 
@@ -139,7 +139,7 @@ def test_everything_is_compiled_with_the_same_flags(idle: wp.Device) -> None:
         device="cpu",
         seed=0,
     )
-    modules = [module for module, _ in launches._begun]
+    modules = [module for module, *_ in launches._begun]
     assert len(modules) >= 8
     assert len({module.options["cpu_compiler_flags"] for module in modules}) == 1
 
@@ -160,3 +160,30 @@ def test_a_kernel_of_very_many_lines_is_not_searched_for_vectors(
         flags = rows.kernel.module.options["cpu_compiler_flags"].split()
         assert ("-fno-slp-vectorize" not in flags) == searched
         assert launches.NO_BFLOAT16 in flags
+
+
+def test_on_a_gpu_each_size_of_block_is_compiled_once(idle: wp.Device) -> None:
+    """A GPU has a module for each number of threads of a block; a CPU has one."""
+
+    class Gpu:
+        is_cpu, alias = False, "cuda:0"
+
+    for block_dim in (64, 256, 64):
+        compile_ahead(_fill, Gpu(), block_dim=block_dim)  # pyright: ignore[reportArgumentType]
+        compile_ahead(_fill, idle, block_dim=block_dim)
+    assert [key[1:] for key in launches._begun] == [("cuda:0", 64), ("cpu", None), ("cuda:0", 256)]
+
+
+def test_a_recording_waits_for_all_kernels(cpu: wp.Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A GPU loads no module while a CUDA graph is recorded."""
+    go, loaded = threading.Event(), threading.Event()
+
+    def late(**_: object) -> None:
+        go.wait(60.0)
+        loaded.set()
+
+    monkeypatch.setattr(wp, "force_load", late)
+    compile_ahead(_fill, cpu)
+    threading.Timer(0.05, go.set).start()
+    launches.wait_for_all()
+    assert loaded.is_set()

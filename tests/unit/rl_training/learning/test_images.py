@@ -1,10 +1,10 @@
 """A policy that sees bytes of images beside a vector learns what only the image says."""
 
 from dataclasses import replace
+from typing import ClassVar
 
 import pytest
 import torch
-from gymnasium import spaces
 from torch import Tensor
 
 from aerial_gym.rl_training.evaluate import evaluate
@@ -22,12 +22,7 @@ class Point:
     """A bright column stands left or right in the image; an action costs the square of its distance to -0.8 or 0.8."""
 
     num_envs, num_actions, device = ENVS, 1, torch.device("cpu")
-    observation_space = spaces.Dict(
-        {
-            "observations": spaces.Box(-1.0, 1.0, (2,)),
-            "depth": spaces.Box(0, 255, (1, 8, 12), dtype="uint8"),  # type: ignore[arg-type]
-        }
-    )
+    observation_shapes: ClassVar = {"observations": (2,), "depth": (1, 8, 12)}
 
     def __init__(self) -> None:
         self.generator, self.age = torch.Generator().manual_seed(0), torch.arange(ENVS) % LENGTH

@@ -1,10 +1,10 @@
 """A recurrent policy learns what only a memory can know, across the seams of segments and not across those of episodes."""
 
 from dataclasses import replace
+from typing import ClassVar
 
 import pytest
 import torch
-from gymnasium import spaces
 from torch import Tensor
 
 from aerial_gym.rl_training.learning.network import make_network
@@ -18,7 +18,7 @@ class Recall:
     """Each episode shows -0.8 or 0.8 once, then nothing; an action costs the square of its distance to what was shown."""
 
     num_envs, num_actions, device = ENVS, 1, torch.device("cpu")
-    observation_space = spaces.Dict({"observations": spaces.Box(-1.0, 1.0, (1,))})
+    observation_shapes: ClassVar = {"observations": (1,)}
 
     def __init__(self) -> None:
         self.generator = torch.Generator().manual_seed(0)

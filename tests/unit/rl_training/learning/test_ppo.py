@@ -1,10 +1,10 @@
 """Proximal policy optimisation: its formulas against loops and closed forms, its steps against a task that is scripted."""
 
 from dataclasses import replace
+from typing import ClassVar
 
 import pytest
 import torch
-from gymnasium import spaces
 from torch import Tensor
 
 from aerial_gym.errors import ConfigError
@@ -125,7 +125,7 @@ class Counting:
     """
 
     num_envs, num_actions, device = 2, 1, torch.device("cpu")
-    observation_space = spaces.Dict({"observations": spaces.Box(-9.0, 9.0, (1,))})
+    observation_shapes: ClassVar = {"observations": (1,)}
 
     def __init__(self) -> None:
         self.count = torch.zeros(2)

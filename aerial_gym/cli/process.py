@@ -1,0 +1,46 @@
+"""Start of the process of a command: its clock, libraries beside imports, compiled Python code where there is none."""
+
+import os
+import sys
+import time
+from importlib.util import cache_from_source, find_spec
+from pathlib import Path
+
+from aerial_gym.interop.preload import preload
+
+_started: float | None = None
+
+
+def begin() -> None:
+    """Note the start of this process, load what a training needs, keep compiled Python code; called by ``entry``."""
+    global _started
+    _started = time.perf_counter() - time.process_time()  # the interpreter's own start counts
+    keep_bytecode()
+    if sys.argv[1:2] == ["train"]:
+        preload(sys.argv[sys.argv.index("--device") + 1] if "--device" in sys.argv[:-1] else None)
+
+
+def started_at() -> float:
+    """Return the start of the command on the clock of ``time.perf_counter`` [s]: that of the process, or now without one."""
+    return time.perf_counter() if _started is None else _started
+
+
+def keep_bytecode() -> None:
+    """Keep compiled Python code in the user's cache folder if PyTorch's installation has none and gets none.
+
+    Containers often set ``PYTHONDONTWRITEBYTECODE`` and install without ``__pycache__`` folders. Every process then compiles
+    the 1,000 files of PyTorch again, which takes 3 s. A folder that the user chose (``PYTHONPYCACHEPREFIX``) stays.
+    """
+    torch = find_spec("torch")
+    if torch is None or torch.origin is None or sys.pycache_prefix is not None:
+        return
+    compiled = Path(cache_from_source(torch.origin))
+    gets_one = not sys.dont_write_bytecode and os.access(compiled.parents[1], os.W_OK)
+    if not (compiled.exists() or gets_one):
+        sys.pycache_prefix, sys.dont_write_bytecode = str(bytecode_folder()), False
+
+
+def bytecode_folder() -> Path:
+    """Return the folder for compiled Python code, ``aerial_gym/bytecode`` in the user's cache folder."""
+    caches = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    return Path(caches) / "aerial_gym" / "bytecode"

@@ -1,0 +1,52 @@
+"""Native libraries of PyTorch and Warp, and a GPU's context, loaded on a thread while Python imports other modules.
+
+Nothing here imports torch or Warp. Both find the libraries and the context that are there already.
+"""
+
+import ctypes
+import os
+import sys
+import threading
+from importlib.util import find_spec
+from pathlib import Path
+
+
+def preload(device: str | None) -> threading.Thread:
+    """Start to load libraries, and what a GPU needs; return the thread.
+
+    Args:
+        device: ``cuda``, ``cuda:N``, or ``auto`` or None for the first GPU if there is one.
+    """
+    kind, _, number = (device or "auto").partition(":")
+    number = number or os.environ.get("LOCAL_RANK") or "0"  # torchrun's number of the process on this machine
+    index = int(number) if kind in ("auto", "cuda") and number.isdecimal() else None
+    thread = threading.Thread(target=_load, args=(index,), name="preload", daemon=True)
+    if sys.platform == "linux":
+        thread.start()
+    return thread
+
+
+def _load(index: int | None) -> None:
+    if _open(_library("torch", "lib/libtorch_cuda.so")) is None:
+        _open(_library("torch", "lib/libtorch_cpu.so"))
+    driver = None if index is None else _open("libcuda.so.1")
+    handle = ctypes.c_int()
+    if driver is not None and driver.cuInit(0) == 0 and driver.cuDeviceGet(ctypes.byref(handle), index) == 0:
+        context = ctypes.c_void_p()
+        driver.cuDevicePrimaryCtxRetain(ctypes.byref(context), handle)  # kept until the process ends
+        _open(_library("warp", "bin/warp.so"))
+
+
+def _library(package: str, file: str) -> str:
+    """Return the path of a package's library, without importing the package."""
+    found = find_spec(package)
+    folders = (found.submodule_search_locations or [""]) if found is not None else [""]
+    return str(Path(folders[0]) / file)
+
+
+def _open(library: str) -> ctypes.CDLL | None:
+    """Return a library, or None if there is none, or what it needs is missing: whoever needs it says so."""
+    try:
+        return ctypes.CDLL(library)
+    except OSError:
+        return None

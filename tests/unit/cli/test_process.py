@@ -1,0 +1,81 @@
+"""Start of a command's process: its clock, and the folder for compiled Python code."""
+
+import importlib.util
+import sys
+import time
+from importlib.machinery import ModuleSpec
+from pathlib import Path
+
+import pytest
+
+from aerial_gym.cli import process
+
+
+@pytest.fixture
+def installation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An installation of PyTorch without compiled code, for a process that keeps none; returns its ``__init__.py``."""
+    package = tmp_path / "site" / "torch" / "__init__.py"
+    package.parent.mkdir(parents=True)
+    package.touch()
+    monkeypatch.setattr(process, "find_spec", lambda _: ModuleSpec("torch", None, origin=str(package)))
+    monkeypatch.setattr(sys, "pycache_prefix", None)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches"))
+    return package
+
+
+def test_code_is_kept_in_the_cache_folder_where_the_installation_gets_none(installation: Path, tmp_path: Path) -> None:
+    process.keep_bytecode()
+    assert (sys.pycache_prefix, sys.dont_write_bytecode) == (str(tmp_path / "caches/aerial_gym/bytecode"), False)
+
+
+def test_code_is_kept_where_the_installation_cannot_be_written(
+    installation: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    monkeypatch.setattr(process.os, "access", lambda *_: False)
+    process.keep_bytecode()
+    assert sys.pycache_prefix is not None
+
+
+@pytest.mark.parametrize("case", ["compiled", "python writes it", "folder of the user", "no torch"])
+def test_settings_of_python_stay_otherwise(case: str, installation: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if case == "compiled":
+        compiled = Path(importlib.util.cache_from_source(str(installation)))
+        compiled.parent.mkdir()
+        compiled.touch()
+    elif case == "python writes it":
+        monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    elif case == "folder of the user":
+        monkeypatch.setattr(sys, "pycache_prefix", "/elsewhere")
+    else:
+        monkeypatch.setattr(process, "find_spec", lambda _: None)
+    before = sys.pycache_prefix, sys.dont_write_bytecode
+    process.keep_bytecode()
+    assert (sys.pycache_prefix, sys.dont_write_bytecode) == before
+
+
+def test_a_command_counts_from_the_start_of_its_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a process that ran for a while, ``begin`` looks back by the time that it took."""
+    monkeypatch.setattr(process, "keep_bytecode", lambda: None)
+    monkeypatch.setattr(process, "_started", None)
+    monkeypatch.setattr(sys, "argv", ["aerial-gym", "list"])
+    assert process.started_at() == pytest.approx(time.perf_counter(), abs=0.1)
+    used = time.process_time()
+    process.begin()
+    assert process.started_at() == pytest.approx(time.perf_counter() - used, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("argv", "device"), [(["train"], None), (["train", "--device", "cpu"], "cpu"), (["train", "--device"], None)]
+)
+def test_a_training_loads_libraries_for_its_device(
+    argv: list[str], device: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loaded: list[str | None] = []
+    monkeypatch.setattr(process, "keep_bytecode", lambda: None)
+    monkeypatch.setattr(process, "_started", None)
+    monkeypatch.setattr(process, "preload", loaded.append)
+    monkeypatch.setattr(sys, "argv", ["aerial-gym", *argv])
+    process.begin()
+    assert loaded == [device]
