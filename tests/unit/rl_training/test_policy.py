@@ -237,9 +237,9 @@ def test_a_cpu_has_settings_of_its_own_where_there_are_some() -> None:
     ]
     assert names[:3] == ["ppo_position_setpoint_cpu.yaml", "ppo_navigation.yaml", "ppo_position_setpoint_cpu.yaml"]
     assert names[3:] == [
-        "rl_games_position_setpoint.yaml",
+        "rl_games_position_setpoint_cpu.yaml",
         "rl_games_navigation.yaml",
-        "rl_games_position_setpoint.yaml",
+        "rl_games_position_setpoint_cpu.yaml",
     ]
     for file in sorted(settings_for("ppo", "navigation_task").parent.glob("*.yaml")):
         assert load_settings(file).trainer in file.name
