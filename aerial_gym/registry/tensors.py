@@ -1,17 +1,21 @@
 """The Global Tensor Dictionary (GTD): every tensor that crosses the boundary of a manager.
 
 Each key is declared once by its owner with shape letters, dtype, unit, frame and meaning; it is allocated then and never
-replaced, so that views stay valid and a step can be captured in a CUDA graph. Only the owner writes, in place.
+replaced, so that views stay valid and a step can be captured in a CUDA graph. The owner writes in place, to the tensor that
+``declare`` returned. Everyone else gets parameters as guarded tensors: a write is either taken into the next step
+(``watch``), or refused (``refuse``).
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import NoReturn
 
 import torch
 from torch import Tensor
 
 from aerial_gym.errors import DuplicateNameError, OwnershipError, ShapeError, UnknownNameError
+from aerial_gym.registry.guarded import GuardedTensor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +52,8 @@ class GlobalTensorDictionary(Mapping[str, Tensor]):
         self._sizes = dict(sizes)
         self._specs: dict[str, TensorSpec] = {}
         self._tensors: dict[str, Tensor] = {}
+        self._guarded: dict[str, Tensor] = {}
+        self._instead: dict[str, str] = {}
 
     def define_size(self, letter: str, size: int) -> None:
         """Give a shape letter its number; a second, different number is an error."""
@@ -80,10 +86,30 @@ class GlobalTensorDictionary(Mapping[str, Tensor]):
         self._specs[spec.key], self._tensors[spec.key] = spec, tensor
         return tensor
 
+    def refuse(self, key: str, instead: str) -> None:
+        """Refuse writes to a key from now on; ``instead`` tells what to do in place of one."""
+        self._instead[key] = instead
+        self._guarded[key] = GuardedTensor.of(self.plain(key), partial(self._refuse_write, key), _do_nothing)
+
+    def watch(self, key: str, notice: Callable[[], None]) -> None:
+        """Call ``notice`` after each write to a key from now on."""
+        self._guarded[key] = GuardedTensor.of(self.plain(key), _do_nothing, notice)
+
+    def _refuse_write(self, key: str) -> NoReturn:
+        raise OwnershipError(f"GTD key {key!r} is read-only: {self._instead[key]}")
+
     def spec(self, key: str) -> TensorSpec:
         """Return the declaration of a key."""
         self[key]
         return self._specs[key]
+
+    def plain(self, key: str) -> Tensor:
+        """Return the tensor of a key without its guard, for its owner and for parts of a step that read it."""
+        try:
+            return self._tensors[key]
+        except KeyError:
+            known = ", ".join(sorted(self._tensors)) or "none"
+            raise UnknownNameError(f"no GTD key {key!r}. Known: {known}") from None
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return every tensor but those that only show parts of another one."""
@@ -99,11 +125,7 @@ class GlobalTensorDictionary(Mapping[str, Tensor]):
         }
 
     def __getitem__(self, key: str) -> Tensor:
-        try:
-            return self._tensors[key]
-        except KeyError:
-            known = ", ".join(sorted(self._tensors)) or "none"
-            raise UnknownNameError(f"no GTD key {key!r}. Known: {known}") from None
+        return self._guarded[key] if key in self._guarded else self.plain(key)
 
     def __setitem__(self, key: str, value: object) -> NoReturn:
         raise OwnershipError(f"GTD key {key!r} cannot be replaced: write in place, gtd[{key!r}][:] = value")
@@ -130,4 +152,8 @@ class GlobalTensorDictionary(Mapping[str, Tensor]):
         numbers = "(" + ", ".join(str(size) for size in self._tensors[spec.key].shape) + ")"
         shape = letters if letters == numbers else f"{letters} = {numbers}"
         dtype = str(spec.dtype).removeprefix("torch.")
-        return spec.key, shape, dtype, spec.unit, spec.frame, spec.owner, spec.meaning
+        meaning = f"{spec.meaning} (read-only)" if spec.key in self._instead else spec.meaning
+        return spec.key, shape, dtype, spec.unit, spec.frame, spec.owner, meaning
+
+
+def _do_nothing() -> None: ...

@@ -116,6 +116,8 @@ class RobotManager:
             )
         self._declare_model()
         self._randomized = self._make_randomized(randomize or {})
+        self._stale = False
+        self._guard_parameters()
         self._pushing = Pushing(robot, gtd, around)
         self._load = hung_load(gtd, self._effects, self.tensors.state)
         self.backend.allocate(
@@ -163,7 +165,7 @@ class RobotManager:
             names = ", ".join(f"{parameter.name} [{parameter.unit}]" for parameter in effect.parameters)
             spec = TensorSpec(
                 key=f"effect_{effect.name}", shape=("E", params.shape[1]), unit="see meaning", frame="-", owner="robot",
-                meaning=f"parameters {names}; call refresh_model() after writing",
+                meaning=f"parameters {names}",
             )  # fmt: skip
             stored = gtd.declare(spec)
             stored.copy_(params)
@@ -178,6 +180,41 @@ class RobotManager:
         scene, gradients = self._around.scene, self.differentiable is not None
         obstacles = scene is not None and scene.num_instances > 0
         self.felt = declare_felt_scene(gtd, self._effects, obstacles=obstacles, gradients=gradients)
+
+    def _guard_parameters(self) -> None:
+        """Take writes to parameters into the next step, and refuse those to what follows from others."""
+        gtd, drawn = self._gtd, set() if self._randomized is None else set(self._randomized.drawn_effects)
+        for key, quantity, effect in (
+            ("robot_mass", "body.mass", "payload_mass"),
+            ("robot_inertia", "body.inertia", "inertia_error"),
+        ):
+            gtd.refuse(
+                key,
+                f"it follows from the robot. Write effect_{effect} of a robot with that effect, or draw {quantity} "
+                f"(randomize) and write draws()[{quantity!r}]",
+            )
+        if self.imu_errors is not None:
+            gtd.refuse("robot_imu_errors", "write effect_imu_bias or effect_imu_misalignment, from which it follows")
+        for i, (effect, _) in enumerate(self._effects):
+            key = f"effect_{effect.name}"
+            if i in drawn:
+                gtd.refuse(key, f"it is drawn; write draws()['effects.{effect.name}...'], or do not draw it")
+            else:
+                gtd.watch(key, self._note_write)
+        for key in ("drawn_parameters", "downwash_position"):
+            if key in gtd:
+                gtd.watch(key, self._note_write)
+
+    def _note_write(self) -> None:
+        self._stale = True
+
+    def take_writes(self) -> bool:
+        """Take parameters that were written since the last step into the physics.
+
+        Returns:
+            Whether tensors of the physics moved, so that a CUDA graph of a step must be recorded anew.
+        """
+        return self._stale and self.refresh_model()
 
     @property
     def action_names(self) -> tuple[str, ...]:
@@ -210,7 +247,7 @@ class RobotManager:
 
     def draws(self) -> dict[str, Tensor]:
         """Return what the present episodes have drawn, by the names of quantities, (E, ...)."""
-        return {} if self._randomized is None else self._randomized.views(self._values)
+        return {} if self._randomized is None else self._randomized.views(self._gtd["drawn_parameters"])
 
     def _sources(self) -> tuple[Tensor, ...]:
         """Return what decides the parameters of each environment: draws, parameters of effects, the scene that they feel."""
@@ -247,14 +284,12 @@ class RobotManager:
             exact = [(effect, params.double()) for effect, params in model.effects[ImuEffect]]
             self.imu_errors.copy_(imu_errors(exact))
         effects = EffectsByKind(self._effects)  # which the model keeps reading
-        if self._randomized is not None:
-            declared = self.declared.rows()
-            changed = {name: rows for name, rows in model.vehicle.rows().items() if rows is not declared[name]}
-            own = {id(rows): own_rows(rows) for rows in changed.values()}  # what is one tensor by two names stays one
-            vehicle = replace(model.vehicle, **{name: own[id(rows)] for name, rows in changed.items()})
-            inverse = own_rows(model.inertia_inverse) if "inertia" in changed else model.inertia_inverse
-            model = replace(model, vehicle=vehicle, inertia_inverse=inverse)
-        self.model = replace(model, effects=effects)
+        declared = self.declared.rows()
+        changed = {name: rows for name, rows in model.vehicle.rows().items() if rows is not declared[name]}
+        own = {id(rows): own_rows(rows) for rows in changed.values()}  # what is one tensor by two names stays one
+        vehicle = replace(model.vehicle, **{name: own[id(rows)] for name, rows in changed.items()})
+        inverse = own_rows(model.inertia_inverse) if "inertia" in changed else model.inertia_inverse
+        self.model = replace(model, vehicle=vehicle, inertia_inverse=inverse, effects=effects)
         self._mass.copy_(model.vehicle.mass)
         self._inertia.copy_(model.vehicle.inertia)
         self._com.copy_(model.vehicle.com)
@@ -315,14 +350,20 @@ class RobotManager:
             plain=partial(rows, declared=self.declared),
         )
 
-    def refresh_model(self) -> None:
-        """Take changed parameters of effects (``gtd["effect_..."]``) into the physics."""
-        before = self.backend.parameter_targets()
+    def refresh_model(self) -> bool:
+        """Take parameters into the physics that DLPack or a kernel has written; ``step`` does so after any other write.
+
+        Returns:
+            Whether tensors of the physics moved, so that a CUDA graph of a step must be recorded anew.
+        """
+        self._stale = False
+        before = [rows.data_ptr() for rows in self.backend.parameter_targets()]
         self.backend.set_model(self._build_model())
         self.backend.prepare(self._sim.dt)
-        after = self.backend.parameter_targets()
-        if self._update is not None and [t.data_ptr() for t in before] != [t.data_ptr() for t in after]:
+        moved = before != [rows.data_ptr() for rows in self.backend.parameter_targets()]
+        if moved and self._update is not None:
             self._update = self._make_update()
+        return moved
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return what must be kept to go on beside the GTD, by name."""
@@ -339,6 +380,7 @@ class RobotManager:
                 f"actions has shape {tuple(actions.shape)}, expected (E, U) = {tuple(self.tensors.actions.shape)}: "
                 f"{', '.join(self.action_names)}"
             )
+        self.take_writes()
         self._begin.take(actions)
         if self.differentiable is not None:
             self.differentiable.act(actions)

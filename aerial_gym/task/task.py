@@ -277,6 +277,8 @@ class Task:
             raise ShapeError(
                 f"actions has shape {tuple(actions.shape)}, expected (E, V) = {(self.num_envs, self.num_actions)}"
             )
+        if self.env.robot_manager.take_writes() and self.captured:
+            self._graph, self._capture_at_reset = None, True
         result = self._step(actions) if self._graph is None else self._graph.replay(actions)
         self._watch.look()
         return result

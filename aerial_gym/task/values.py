@@ -71,7 +71,7 @@ class Values(Mapping[str, Tensor]):
             UnknownNameError: If nothing has that name.
         """
         if name in self.gtd:
-            return self.gtd[name]
+            return self.gtd.plain(name)
         if name in self.own:
             return self.own[name]
         for template, make in self._makers.items():
@@ -103,7 +103,7 @@ class Values(Mapping[str, Tensor]):
         return {name: self.find(name, term.label) for term in terms for name in term.reads}
 
     def __getitem__(self, name: str) -> Tensor:
-        return self.gtd[name] if name in self.gtd else self.own[name]
+        return self.gtd.plain(name) if name in self.gtd else self.own[name]
 
     def __iter__(self) -> Iterator[str]:
         return iter({**self.gtd, **self.own})
