@@ -263,6 +263,28 @@ def _rigid_morphy() -> TaskCfg:
 task_registry.register_later("position_setpoint_task_morphy_stiff", _rigid_morphy)
 
 
+def _morphy_of_the_paper() -> TaskCfg:
+    """position_setpoint_task_morphy with the reward of the paper's equation 8, where the published code has other terms.
+
+    The distance counts as a potential: what a step gains. The thrust beyond hover counts by an exponential kernel.
+    """
+    task = task_registry.get("position_setpoint_task_morphy")
+    gained = RewardCfg(term="progress", params={"closer": 10.0, "further": 10.0})
+    thrust = RewardCfg(term="all_actions_size", params={"offset": 0.711225, "height": 0.01, "width": 10.0})
+    return replace(
+        task,
+        summary="position_setpoint_task_morphy with the reward of equation 8 of the paper's appendix",
+        rewards=dict(task.rewards) | {"distance": gained, "size": thrust},
+        source=(
+            f"{task.source}. Form of 'distance' and 'size': equation 8 of the appendix. Their coefficients: those of the same "
+            "two terms in equation 10, as coded in position_setpoint_task_sim2real_end_to_end"
+        ),
+    )
+
+
+task_registry.register_later("position_setpoint_task_morphy_paper", _morphy_of_the_paper)
+
+
 def _safe_navigation() -> TaskCfg:
     """navigation_task as an optimum of its reward would not fly it.
 

@@ -56,6 +56,7 @@ LIKE_OTHERS = (
     "lidar_navigation_task",
     "platform_landing_task",
     "position_setpoint_task_acceleration_sim2real",
+    "position_setpoint_task_morphy_paper",
     "position_setpoint_task_morphy_stiff",
     "position_setpoint_task_reconfigurable",
     "position_setpoint_task_sim2real",

@@ -1,6 +1,7 @@
 """Rewards of the tasks with joints, written out once more in NumPy from the Aerial Gym Simulator 2.0.1."""
 
 from collections.abc import Callable, Mapping
+from inspect import signature
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.task import task_registry
+from aerial_gym.task.terms import rewards as terms
 
 Values = Mapping[str, np.ndarray]
 
@@ -26,6 +28,13 @@ def of_morphy(now: Values) -> np.ndarray:
     return pos + (20 - d) / 40 + pos * (up + spin) + change + change * pos + size + joint
 
 
+def of_morphy_in_the_paper(now: Values) -> np.ndarray:
+    d, before = np.linalg.norm(now["p"], axis=1), np.linalg.norm(now["p_before"], axis=1)
+    thrust = (bell(now["u"] - 0.711225, 0.01, 10) - 0.01).sum(1)
+    published = (20 - d) / 40 - 0.15 * ((now["u"] - 0.711225) ** 2).sum(1)
+    return of_morphy(now) - published + 10 * (before - d) + thrust
+
+
 def of_snake(now: Values) -> np.ndarray:
     d = np.linalg.norm(now["p"], axis=1)
     pos, yaw = bell(d, 3, 8) + bell(d, 0.5, 1), bell(now["w"][:, 2], 5, 20.5)
@@ -37,6 +46,7 @@ def of_snake(now: Values) -> np.ndarray:
     ("name", "formula", "entries"),
     [
         ("position_setpoint_task_morphy", of_morphy, 33),
+        ("position_setpoint_task_morphy_paper", of_morphy_in_the_paper, 33),
         pytest.param("position_setpoint_task_reconfigurable", of_snake, 49, marks=pytest.mark.slow),
     ],
 )
@@ -48,7 +58,7 @@ def test_the_reward_is_what_is_coded_there(name: str, formula: Callable[[Values]
         task.reset()
         shown = 0
         for _ in range(12):
-            last = gtd["robot_actions"].double().numpy().copy()
+            last, before = (gtd[key].double().numpy().copy() for key in ("robot_actions", "robot_position"))
             actions = 2.0 * torch.rand(32, task.num_actions, generator=generator) - 1.0
             obs, reward, terminated, truncated, _ = task.step(actions)
             flying = ~(terminated | truncated).numpy()
@@ -59,6 +69,7 @@ def test_the_reward_is_what_is_coded_there(name: str, formula: Callable[[Values]
                 "u": gtd["robot_actions"].double().numpy(),
                 "joint_vel": gtd["dof_velocity"].double().numpy(),
                 "last": last,
+                "p_before": before,
                 "R": turn.as_matrix(),
                 "euler": turn.as_euler("ZYX")[:, ::-1],
             }
@@ -99,3 +110,29 @@ def test_a_snake_starts_anywhere_in_its_bounds_heading_anywhere() -> None:
             assert np.all(seen.max(0) > 0.8 * half)
             assert np.all(seen.min(0) < -0.8 * half)
         np.testing.assert_allclose(euler[:, 1:], 0.0, atol=1e-6)
+
+
+def test_the_two_rewards_of_morphy_differ_in_distance_and_thrust_as_worked_by_hand() -> None:
+    """From 1.0 m to 0.9 m, each rotor 0.1 N above hover: 10 * 0.1 and 4 * 0.01 (exp(-0.1) - 1), or 19.1 / 40 and -0.006."""
+    tensors = {
+        "target_position": torch.zeros(1, 3),
+        "robot_position": torch.tensor([[0.0, 0.9, 0.0]]),
+        "previous_distance": torch.tensor([1.0]),
+        "robot_actions": torch.full((1, 4), 0.811225),
+    }
+    found = {}
+    for name in ("position_setpoint_task_morphy", "position_setpoint_task_morphy_paper"):
+        rewards = task_registry.get(name).rewards
+        for term in ("distance", "size"):
+            function = getattr(terms, rewards[term].term)
+            read = {key: tensors[key] for key in signature(function).parameters if key in tensors}
+            found[name, term] = float(function(**read, **rewards[term].params))
+    assert found["position_setpoint_task_morphy", "distance"] == pytest.approx(0.4775, rel=1e-5)
+    assert found["position_setpoint_task_morphy", "size"] == pytest.approx(-0.006, rel=1e-4)
+    assert found["position_setpoint_task_morphy_paper", "distance"] == pytest.approx(1.0, rel=1e-5)
+    assert found["position_setpoint_task_morphy_paper", "size"] == pytest.approx(-0.00380650, rel=1e-4)
+    published, paper = (
+        task_registry.get(name).rewards
+        for name in ("position_setpoint_task_morphy", "position_setpoint_task_morphy_paper")
+    )
+    assert {name for name in published if published[name] != paper[name]} == {"distance", "size"}
