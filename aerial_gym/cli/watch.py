@@ -2,7 +2,6 @@
 
 import json
 import sys
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 if TYPE_CHECKING:
+    from aerial_gym.config.robot import RobotCfg
     from aerial_gym.sim2real.failures.watch import Alarm, Watch
+    from aerial_gym.sim2real.logs.readers.csv_lines import CsvHeader
+
+SHOWN = 3
+"""Bad lines that are named."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,65 +39,101 @@ class WatchCmd:
 
     def run(self) -> int:
         """Print a line for each failure as soon as it is known; return the exit status."""
-        from aerial_gym.errors import DataError
         from aerial_gym.interop import one_thread
         from aerial_gym.robots.catalog import robot_by_name
-        from aerial_gym.sim2real.failures.watch import NAMED, Watch
+        from aerial_gym.sim2real.logs.readers.follow import file_lines, stdin_lines
 
-        robot, lines, name = (
-            robot_by_name(self.robot),
-            self._lines(),
-            "flight" if self.log == "-" else Path(self.log).stem,
-        )
-        header = next(lines, "")
-        if not header.strip():
-            raise DataError(f"{self.log}: holds no header line")
-        watch = Watch(robot, header.strip().split(","), name=name, false_alarm_hours=self.false_alarm_hours)
-        named = 0
+        robot = robot_by_name(self.robot)
+        lines = stdin_lines() if self.log == "-" else file_lines(Path(self.log), follow=self.follow)
         with one_thread():
-            for alarm in _alarms(watch, lines, self.log):
-                named += alarm.stage == NAMED
-                print(json.dumps(alarm.as_mapping(), ensure_ascii=False) if self.json else alarm.sentence, flush=True)
-        print(f"watched {watch.watched_s:.1f} s: {named or 'no'} failure{'' if named == 1 else 's'}", file=sys.stderr)
+            for number, flight in enumerate(_flights(lines)):
+                if number:
+                    print(f"{self.log}: begins anew; watched from its first row on", file=sys.stderr)
+                if not self._watch(robot, flight):
+                    break
         return 0
 
-    def _lines(self) -> Iterator[str]:
-        """Yield whole lines, those that are still to be written among them if they are to be waited for."""
-        if self.log == "-":
-            yield from sys.stdin
-            return
+    def _watch(self, robot: "RobotCfg", lines: Iterator[str]) -> bool:
+        """Print a line for each failure in the lines of one flight, then a summary; return False if it was interrupted."""
         from aerial_gym.errors import DataError
+        from aerial_gym.sim2real.failures.watch import NAMED, Watch
+        from aerial_gym.sim2real.logs.readers.csv_lines import find_header
 
-        if not Path(self.log).is_file():
-            raise DataError(f"{self.log}: no such file. Give a flight log (CSV), or - for rows from stdin")
-        with Path(self.log).open(encoding="utf-8-sig") as file:
-            part = ""
-            while True:
-                line = file.readline()
-                part += line
-                if part.endswith("\n"):
-                    yield part
-                    part = ""
-                elif not line:
-                    if not self.follow:
-                        break
-                    time.sleep(0.05)
-            if part:
-                yield part
-
-
-def _alarms(watch: "Watch", lines: Iterator[str], log: str) -> "Iterator[Alarm]":
-    """Yield what is told while lines come, and when they end."""
-    for number, line in enumerate(lines, start=2):
-        yield from watch.add(_numbers(line, f"{log}, line {number}"))
-    yield from watch.ended()
+        numbered, named, interrupted = enumerate(lines, start=1), 0, False
+        header = find_header((line for _, line in numbered), "t")
+        if header is None:
+            raise DataError(f"{self.log}: holds no header line")
+        name = "flight" if self.log == "-" else Path(self.log).stem
+        watch = Watch(robot, header.names, name=name, false_alarm_hours=self.false_alarm_hours)
+        try:
+            for alarm in _alarms(watch, header, numbered, self.log):
+                named += alarm.stage == NAMED
+                print(json.dumps(alarm.as_mapping(), ensure_ascii=False) if self.json else alarm.sentence, flush=True)
+        except KeyboardInterrupt:
+            if not self.follow:
+                raise
+            interrupted = True
+        print(f"watched {watch.watched_s:.1f} s: {named or 'no'} failure{'' if named == 1 else 's'}", file=sys.stderr)
+        return not interrupted
 
 
-def _numbers(line: str, where: str) -> list[float]:
-    """Return the fields of a line, empty ones as NaN."""
+def _flights(lines: Iterator[str | None]) -> Iterator[Iterator[str]]:
+    """Yield the lines of each flight: a None between lines begins another one."""
+    ended = False
+
+    def flight() -> Iterator[str]:
+        nonlocal ended
+        for line in lines:
+            if line is None:
+                return
+            yield line
+        ended = True
+
+    while not ended:
+        yield flight()
+
+
+def _alarms(watch: "Watch", header: "CsvHeader", lines: Iterator[tuple[int, str]], log: str) -> "Iterator[Alarm]":
+    """Yield what is told while lines come, and when they end; name the first rows that are left out, and count all.
+
+    Raises:
+        DataError: If there are rows, and none of them can be used.
+    """
     from aerial_gym.errors import DataError
 
+    rows = unreadable = named = 0
+    for number, line in lines:
+        if header.is_remark(line):
+            continue
+        row, rows = _numbers(header.row(line.rstrip("\r\n"))), rows + 1
+        if row is None:
+            unreadable += 1
+            named += _name_bad(named, f"{log}, line {number}: its fields do not fit the header, or are no numbers")
+            continue
+        before = watch.bad_rows
+        yield from watch.add(row)
+        if watch.bad_rows > before:
+            named += _name_bad(named, f"{log}, by line {number}: {watch.last_bad}")
+    yield from watch.ended()
+    bad = unreadable + watch.bad_rows
+    if bad and bad == rows:
+        raise DataError(f"{log}: none of its {rows} rows can be used; is it a flight log?")
+    if bad:
+        print(f"{log}: {bad} of {rows} rows left out", file=sys.stderr)
+    if watch.clock_steps:
+        print(f"{log}: its clock was set back {watch.clock_steps} times", file=sys.stderr)
+
+
+def _name_bad(named: int, sentence: str) -> bool:
+    """Print why a row is left out, for the first ``SHOWN`` of them; return whether it was printed."""
+    if named < SHOWN:
+        print(f"row left out: {sentence}", file=sys.stderr)
+    return named < SHOWN
+
+
+def _numbers(row: str | None) -> list[float] | None:
+    """Return the fields of a row, empty ones as NaN; None if one is no number."""
     try:
-        return [float(field) if field.strip() else float("nan") for field in line.rstrip("\n").split(",")]
-    except ValueError as error:
-        raise DataError(f"{where}: {error}") from None
+        return None if row is None else [float(field.strip() or "nan") for field in row.split(",")]
+    except ValueError:
+        return None

@@ -38,7 +38,8 @@ class Replay:
     @property
     def notes(self) -> list[str]:
         """What else a reader must know."""
-        return [*rigid_notes(self.robot), *notes_of(self.flights)]
+        missing = missing_for_rollouts(self.flights)
+        return [*rigid_notes(self.robot), *notes_of(self.flights), *([f"no rollouts: {missing}"] if missing else [])]
 
     def as_mapping(self) -> dict[str, object]:
         """Return the figures for JSON."""

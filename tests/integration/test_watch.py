@@ -60,7 +60,30 @@ def test_a_file_that_is_not_there_or_no_log_is_a_wrong_request(
 ) -> None:
     assert main(["watch", str(files.robot), str(tmp_path / "none.csv")]) == 2
     assert "no such file. Give a flight log" in capsys.readouterr().err
-    wrong = tmp_path / "wrong.csv"
-    wrong.write_text(files.test[0].read_text().splitlines()[0] + "\n1,2,three\n")
-    assert main(["watch", str(files.robot), str(wrong)]) == 2
-    assert "line 2" in capsys.readouterr().err
+    header = files.test[0].read_text().splitlines()[0]
+    for number, content in enumerate(
+        (b"", b"\n", b"a,b\n1,2\n", f"{header}\n1,2,three\n".encode(), bytes(300), b"ULog\x01\x12\x35\x01")
+    ):
+        wrong = tmp_path / f"wrong{number}.csv"
+        wrong.write_bytes(content)
+        assert main(["watch", str(files.robot), str(wrong)]) == 2
+        assert capsys.readouterr().err.count("\n") <= 2
+    assert main(["watch", str(files.robot), str(tmp_path)]) == 2
+
+
+def test_a_followed_log_that_begins_anew_is_watched_as_another_flight(
+    files: CaseFiles, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The flight without a failure is being written; its file is then replaced by one with a failure."""
+    log, failing = tmp_path / "log.csv", next(path for path in files.train if path.stem == "train_1")
+    log.write_bytes(files.test[0].read_bytes())
+
+    def stop() -> None:
+        raise KeyboardInterrupt
+
+    steps = iter([lambda: log.write_text(""), lambda: log.write_bytes(failing.read_bytes())])
+    monkeypatch.setattr("aerial_gym.sim2real.logs.readers.follow.time.sleep", lambda _: next(steps, stop)())
+    assert main(["watch", str(files.robot), str(log), "--follow", "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert [json.loads(line)["name"] for line in out.splitlines()][-1] == "motor_failure"
+    assert err.count("watched") == 2 + err.count("watched from")

@@ -21,8 +21,9 @@ from aerial_gym.sim2real.failures.sensor_faults import WINDOW_S, SensorFault, Se
 from aerial_gym.sim2real.logs.declared_rotors import lift
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight
 from aerial_gym.sim2real.logs.on_ground import IDLE
-from aerial_gym.sim2real.logs.recording import FlightLog
-from aerial_gym.sim2real.logs.signals import LONGEST_GAP_S, uniform_log
+from aerial_gym.sim2real.logs.readers.live_stamps import LiveStamps
+from aerial_gym.sim2real.logs.recording import LONGEST_GAP_S, NORM_OFF, FlightLog
+from aerial_gym.sim2real.logs.signals import uniform_log
 from aerial_gym.sim2real.statistics import FALSE_ALARM_HOURS
 
 WINDOW_BLOCKS = 300
@@ -58,6 +59,9 @@ COLUMNS = {
     "battery": ("vbat",),
 }
 """Of a log in this package's layout, beside t, rotor_n and cmd_n."""
+
+STATE = (*COLUMNS["attitude"], *COLUMNS["ang_vel"])
+"""Columns without which nothing is watched."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,13 +118,13 @@ class Watch:
             for quantity, names in (COLUMNS | rotors).items()
             if all(name in self._place for name in names)
         }
-        needed = ("t", *COLUMNS["attitude"], *COLUMNS["ang_vel"])
-        if lacking := [column for column in needed if column not in self._place]:
-            raise DataError(f"{name}: no column {lacking[0]!r}; a log that is watched needs {', '.join(needed)}")
+        if lacking := [column for column in ("t", *STATE) if column not in self._place]:
+            raise DataError(f"{name}: no column {lacking[0]!r}; a log that is watched needs t, {', '.join(STATE)}")
         if self._columns.keys().isdisjoint(rotors):
             raise DataError(
                 f"{name}: neither rotor_1..{robot.num_rotors} nor cmd_1..{robot.num_rotors}: log one of them"
             )
+        self._stamps = LiveStamps()
         self._rows: list[Array] = []
         self._recent: deque[Array] = deque()
         self._sensors = SensorWatch(name)
@@ -131,6 +135,9 @@ class Watch:
         self._volts: float | None = None
         self._suspected: Failure | None = None
         self._since = 0.0
+        self._stateless = 0
+        self.last_bad = ""
+        """Why the last row was left out, in words."""
         self.over = False
         """Whether something failed that goes on."""
         self.watched_s = 0.0
@@ -138,15 +145,29 @@ class Watch:
     def add(self, row: Sequence[float] | Array) -> list[Alarm]:
         """Take one more row, in the order of the header, empty fields as NaN; return what there is to tell.
 
+        A row without a state or with a bad time stamp is left out. After a clock was set back, time goes on by one step.
+
         Raises:
-            DataError: If it has not as many fields as the header, or time does not go on.
+            DataError: If it has not as many fields as the header.
         """
         values = np.asarray(row, dtype=float)
         if values.size != len(self._last):
             raise DataError(f"{self._name}: a row has {values.size} fields, the header has {len(self._last)}")
+        values = np.where(np.isfinite(values), values, np.nan)
+        state = np.where(np.isnan(values), self._last, values)[[self._place[name] for name in STATE]]
+        norm = np.linalg.norm(state[: len(COLUMNS["attitude"])])
+        if np.isnan(state).any() or abs(norm - 1.0) > NORM_OFF:
+            self._stateless += 1
+            self.last_bad = "it has no attitude or no angular velocity"
+            return []
+        good, bad = self._stamps.add(values, self._place["t"]), self._stamps.bad
+        if bad:
+            self.last_bad = f"t = {bad[-1]:g} s does not fit the rows around it"
+        return [alarm for row in good for alarm in self._take(row)]
+
+    def _take(self, values: Array) -> list[Alarm]:
+        """Take a good row; return what there is to tell."""
         time = self._place["t"]
-        if self._rows and not values[time] > self._rows[-1][time]:
-            raise DataError(f"{self._name}: t = {values[time]:g} s does not come after {self._rows[-1][time]:g} s")
         values = np.where(np.isnan(values), self._last, values)  # a field that is empty keeps what it had
         self._start = values[time] if self._start is None else self._start
         if self._rows and values[time] - self._rows[-1][time] > LONGEST_GAP_S:
@@ -170,6 +191,16 @@ class Watch:
         self._follow(np.array(self._rows[: whole + 1]))
         del self._rows[: LOOK_BLOCKS * self._size]
         return [*told, *self._look()]
+
+    @property
+    def bad_rows(self) -> int:
+        """Return the number of rows that were left out so far."""
+        return self._stateless + len(self._stamps.bad)
+
+    @property
+    def clock_steps(self) -> int:
+        """Return how often the clock was set back so far."""
+        return self._stamps.steps
 
     def _begin_anew(self) -> None:
         self._rows, self._works, self._suspected = [], [], None
@@ -238,5 +269,6 @@ class Watch:
 
     def ended(self) -> list[Alarm]:
         """Return the failure that was suspected when the rows ended: a vehicle that came down is not seen for long."""
+        self._stamps.end(self._place["t"])
         found, self._suspected = self._suspected, None
         return [Alarm(stage=NAMED, failure=found, told_s=self.watched_s)] if found else []

@@ -12,7 +12,8 @@ from aerial_gym.sim2real.logs.flights import Flight, names_of
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.rollout import QUANTITIES, RolloutErrors, roll_out_models
+from aerial_gym.sim2real.predict.rollout import HORIZONS_S, QUANTITIES, RolloutErrors, roll_out_models
+from aerial_gym.sim2real.predict.windows import find_windows
 from aerial_gym.sim2real.statistics import Rise, Rms, rise_with_interval, rms_with_interval
 
 LEAST_GAP = 1.21
@@ -94,7 +95,10 @@ def missing_for_rollouts(flights: Sequence[Flight]) -> str:
     if blind:
         return f"{names_of(blind, flights)}: without velocity or position"
     turning = [flight for flight in flights if flight.attitude_integrated]
-    return f"{names_of(turning, flights)}: without attitude, which the gyro alone does not give" if turning else ""
+    if turning:
+        return f"{names_of(turning, flights)}: without attitude, which the gyro alone does not give"
+    shortest = min(HORIZONS_S)
+    return "" if find_windows(flights, shortest).row.size else f"no flight is airborne for {shortest:g} s at a time"
 
 
 def rollout_rises(errors: RolloutErrors, reference: RolloutErrors) -> Iterator[tuple[str, float, Rise]]:

@@ -15,14 +15,15 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags
-from aerial_gym.sim2real.logs.checks.conventions import body_rate_of, check_log, check_quaternion_norm, check_time
+from aerial_gym.sim2real.logs.checks.conventions import body_rate_of, check_log, check_time, without_bad_quaternions
 from aerial_gym.sim2real.logs.checks.copies import SeenLogs
 from aerial_gym.sim2real.logs.checks.rotor_law import check_rotor_law
 from aerial_gym.sim2real.logs.checks.rotor_order import check_order
 from aerial_gym.sim2real.logs.checks.rotors import without_copied_commands
+from aerial_gym.sim2real.logs.checks.time_courses import check_one_course
 from aerial_gym.sim2real.logs.clock_offset import commands_share_clock, shift_rotor_log
 from aerial_gym.sim2real.logs.declared_rotors import mean_lag
-from aerial_gym.sim2real.logs.on_ground import rows_on_ground
+from aerial_gym.sim2real.logs.on_ground import check_airborne, rows_on_ground
 from aerial_gym.sim2real.logs.position_jumps import mend_position_jumps
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
@@ -130,6 +131,7 @@ def load_flights(
             log = match_hover_thrust(shift_rotor_log(log, offset, commands=together), robot)
             check_order(log, robot)
             stands = rows_on_ground(log, robot)
+            check_airborne(log, stands, bandwidth)
             check_rotor_law(log, robot, stands)
             flight = complete_flight(log, notes, on_ground=stands)
             taken = {other.name for other in flights}
@@ -167,9 +169,11 @@ def mended_log(log: FlightLog) -> FlightLog:
 
 def even_log(log: FlightLog) -> FlightLog:
     """Return a log at equal time steps, repeated values mended."""
+    log = without_bad_quaternions(log)
     check_time(log)
-    check_quaternion_norm(log)
-    return uniform_log(mend_repeated_samples(without_gaps(without_copied_commands(log))))
+    mended = mend_repeated_samples(without_gaps(without_copied_commands(log)))
+    check_one_course(mended)
+    return uniform_log(mended)
 
 
 def with_velocity(log: FlightLog) -> FlightLog:

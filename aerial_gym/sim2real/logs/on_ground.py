@@ -11,7 +11,8 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.logs.declared_rotors import followed, lift
-from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, rate_of
+from aerial_gym.sim2real.logs.recording import AT_REST, HIGHEST_BAND, FlightLog, rate_of
+from aerial_gym.sim2real.logs.signals import edge_rows
 
 SMOOTH_S = 0.05
 """Signals are smoothed by a bell of this width [s], which does not ring at a touch: noise is no motion."""
@@ -69,6 +70,20 @@ def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Flags | None:
             "give less than half its weight; cut the log to the flight"
         )
     return on_ground
+
+
+def check_airborne(log: FlightLog, on_ground: Flags | None, bandwidth: float) -> None:
+    """Raise ``DataError`` if no span without touch of the ground is longer than the low-pass spoils at its ends.
+
+    ``bandwidth``: of the comparison [Hz].
+    """
+    edge = edge_rows(rate_of(log), min(bandwidth, HIGHEST_BAND * rate_of(log)))
+    flies = np.ones(log.time.size, dtype=bool) if on_ground is None else ~on_ground
+    if not np.asarray(ndimage.minimum_filter1d(flies, 2 * edge + 1, mode="constant", cval=0)).any():
+        raise DataError(
+            f"{log.path}: the vehicle is never airborne for {(2 * edge + 1) / rate_of(log):.2g} s at a time, as a comparison "
+            f"below {bandwidth:g} Hz needs; give a log of a flight, or compare below a higher frequency (bandwidth_hz)"
+        )
 
 
 def _felt(log: FlightLog, width: float) -> Array | None:

@@ -11,13 +11,16 @@ from typing import TypeVar
 import numpy as np
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
-from aerial_gym.sim2real.arrays import Array, Flags
+from aerial_gym.sim2real.arrays import Array, Flags, Indices
 
 AT_REST = np.array((0.0, 0.0, STANDARD_GRAVITY))
 """What an accelerometer at rest reads, along world axes [m/s²], (3,)."""
 
-HEADER_LINES = 1
-"""Of a file, before its first row."""
+LONGEST_GAP_ROWS = 5
+"""A gap of more rows than this, and of more than LONGEST_GAP_S, ends a flight."""
+
+LONGEST_GAP_S = 0.1
+"""[s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +92,9 @@ class FlightLog(Recording):
     torques: bool = True
     """Whether the log shows what torques do."""
 
+    lines: Indices | None = None
+    """Line of each row in its file, (T,); None for binary logs and for rows that were resampled."""
+
     @property
     def name(self) -> str:
         """File name without folder and ending."""
@@ -101,9 +107,16 @@ class FlightLog(Recording):
         return 0 if rotors is None else rotors.shape[1]
 
     def where(self, row: int) -> str:
-        """Return how messages name a row: file, line and time."""
-        return f"{self.path}, line {row + 1 + HEADER_LINES} (t = {self.time[row]:.6g} s)"
+        """Return how messages name a row: file, line if it has one, and time."""
+        line = "" if self.lines is None else f", line {self.lines[row]}"
+        return f"{self.path}{line} (t = {self.time[row]:.6g} s)"
 
+
+HIGHEST_BAND = 0.2
+"""Measured and predicted are compared at most to this share of the slowest log's rate."""
+
+NORM_OFF = 0.05
+"""A quaternion whose norm is off 1 by more is none."""
 
 Some = TypeVar("Some", bound=Recording)
 
@@ -116,6 +129,11 @@ def part_of(log: Some, rows: slice | Flags) -> Some:
 def arrays_of(log: Recording) -> dict[str, Array]:
     """Return what has a value in every row, by name, (T, any)."""
     return {f.name: value for f in fields(log) if isinstance(value := getattr(log, f.name), np.ndarray)}
+
+
+def gap_limit(step: float) -> float:
+    """Return the longest gap in time [s] that can be bridged, for a usual step [s]."""
+    return max(LONGEST_GAP_ROWS * step, LONGEST_GAP_S)
 
 
 def rate_of(log: FlightLog) -> float:

@@ -13,19 +13,13 @@ from scipy import fft
 from aerial_gym.errors import DataError
 from aerial_gym.math.decay import decaying_sum
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.logs.recording import FlightLog, arrays_of, part_of
+from aerial_gym.sim2real.logs.recording import FlightLog, arrays_of, gap_limit, part_of
 
 FILTER_ORDER = 4
 """Order of the Butterworth low-pass that is run forwards and backwards."""
 
 DERIVED_BAND = 0.2
 """Derivatives that stand in for a missing sensor are low-passed at this share of the rate."""
-
-LONGEST_GAP_ROWS = 5
-"""A gap of more rows than this, and of more than LONGEST_GAP_S, ends a flight."""
-
-LONGEST_GAP_S = 0.1
-"""[s]."""
 
 LOOSE_END = 0.05
 """Rows beyond a gap are cut off if they are no more than this share of a log."""
@@ -167,7 +161,7 @@ def without_gaps(log: FlightLog) -> FlightLog:
     steps = np.diff(log.time)
     step = float(np.median(steps))
     gap = int(np.argmax(steps))
-    if steps[gap] > max(LONGEST_GAP_ROWS * step, LONGEST_GAP_S):
+    if steps[gap] > gap_limit(step):
         raise DataError(
             f"{log.where(gap + 1)}: {steps[gap]:.3g} s after the row before, where {step:.3g} s are usual; "
             "cut the log there and give both parts as flights"
@@ -197,13 +191,13 @@ def uniform_log(log: FlightLog) -> FlightLog:
     if log.battery is not None:
         moved["battery"] = np.interp(time, log.time, log.battery)
     note = f"unequal time steps ({steps.min():.3g} to {steps.max():.3g} s) resampled to {step:.3g} s"
-    return replace(log, **moved, time=time, notes=(*log.notes, note))
+    return replace(log, **moved, time=time, lines=None, notes=(*log.notes, note))
 
 
 def _without_loose_ends(log: FlightLog) -> FlightLog:
     """Return the log without a short piece at either end that a gap cuts off, and say so."""
     steps = np.diff(log.time)
-    limit = max(LONGEST_GAP_ROWS * float(np.median(steps)), LONGEST_GAP_S)
+    limit = gap_limit(float(np.median(steps)))
     edges = [0, *(np.flatnonzero(steps > limit) + 1).tolist(), log.time.size]
     sizes = np.diff(edges)
     longest = int(np.argmax(sizes))

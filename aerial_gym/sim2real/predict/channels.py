@@ -5,9 +5,7 @@ from dataclasses import dataclass
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.flights import Flight
-
-HIGHEST_BAND = 0.2
-"""The comparison reaches at most to this share of the slowest log's rate."""
+from aerial_gym.sim2real.logs.recording import HIGHEST_BAND
 
 UNITS = {
     "specific_force": "m/s²",

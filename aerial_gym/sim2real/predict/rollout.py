@@ -38,7 +38,7 @@ from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rows.batches import expand_rows, one_row, with_known_wind
 from aerial_gym.sim2real.predict.scene import heights, other_along
 from aerial_gym.sim2real.predict.tolerances import Tolerances, deviated
-from aerial_gym.sim2real.predict.windows import FIRST_WINDOW_S, STEP_S, Windows, find_windows, same_rate
+from aerial_gym.sim2real.predict.windows import STEP_S, Windows, longest_windows, same_rate
 
 HORIZONS_S = (0.1, 0.5, 1.0, 2.0)
 """When a rollout is compared with the flight [s]."""
@@ -105,9 +105,7 @@ def roll_out_models(
                 robot, flights, [one], variants, links=[own], horizons=horizons, tolerances=tolerances
             )
         ]
-    longest = max(float(flight.time[-1]) for flight in flights)
-    kept = tuple(h for h in horizons if FIRST_WINDOW_S + h + 2.0 * STEP_S < longest)
-    windows = find_windows(flights, max(kept))
+    kept, windows = longest_windows(flights, horizons)
     commanded = is_commanded(flights)
     declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
     off = deviated(declared, tolerances or Tolerances(), models[0].deviation)

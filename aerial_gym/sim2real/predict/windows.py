@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from aerial_gym.errors import DataError
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import DelayEffect
 from aerial_gym.sim2real.arrays import Indices
@@ -67,6 +68,19 @@ def find_windows(
         cluster += int(groups[-1]) + 1 if rows.size else 0
     flight_index, row, clusters = (np.concatenate(part) for part in zip(*parts, strict=True))
     return Windows(flight=flight_index, row=row, cluster=clusters)
+
+
+def longest_windows(flights: Sequence[Flight], horizons: Sequence[float]) -> tuple[tuple[float, ...], Windows]:
+    """Return the horizons [s] that some flight is airborne long enough for, and the windows of the longest of them.
+
+    Raises:
+        DataError: If there is none.
+    """
+    for longest in sorted(horizons, reverse=True):
+        windows = find_windows(flights, longest)
+        if windows.row.size:
+            return tuple(h for h in horizons if h <= longest), windows
+    raise DataError(f"no flight is airborne for {FIRST_WINDOW_S + min(horizons):g} s at a time, which a rollout needs")
 
 
 def same_rate(flights: Sequence[Flight], windows: Windows) -> list[Indices]:

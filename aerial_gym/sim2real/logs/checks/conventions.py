@@ -5,6 +5,7 @@ Letters: T rows.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -17,7 +18,8 @@ from aerial_gym.sim2real.logs.checks.kinematics import CHECK_BANDWIDTH_HZ, kinem
 from aerial_gym.sim2real.logs.checks.rotors import check_rotors
 from aerial_gym.sim2real.logs.checks.units import check_growth, check_units
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
-from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, rate_of
+from aerial_gym.sim2real.logs.readers.stamps import MOST_BAD, places
+from aerial_gym.sim2real.logs.recording import AT_REST, NORM_OFF, FlightLog, part_of, rate_of
 from aerial_gym.sim2real.logs.signals import lowpass
 
 SHORTEST_S = 2.0
@@ -58,22 +60,48 @@ def check_time(log: FlightLog) -> None:
     if span < SHORTEST_S:
         raise DataError(f"{log.path}: lasts {span:.3g} s, needs at least {SHORTEST_S:g} s; is t in seconds?")
     if rate_of(log) < LOWEST_RATE_HZ:
+        unit = _unit_of_time(log)
+        remedy = f"t is in {unit} by the motion: give time unit: {unit} in a mapping file" if unit else "log faster"
         raise DataError(
-            f"{log.path}: has {rate_of(log):.3g} rows per second, needs at least {LOWEST_RATE_HZ:g}; "
-            "log faster, and check that t is in seconds"
+            f"{log.path}: has {rate_of(log):.3g} rows per second, needs at least {LOWEST_RATE_HZ:g}; {remedy}"
         )
 
 
-def check_quaternion_norm(log: FlightLog) -> None:
-    """Raise ``DataError`` for quaternions that are none; before anything makes them unit."""
+def _unit_of_time(log: FlightLog) -> str:
+    """Return ms, us or ns if the motion from row to row says that the time is in it, else nothing.
+
+    The vehicle then turns, or goes, by the unit times its logged rate.
+    """
+    step = np.diff(log.time)[:, None]
+    turned = (Rotation.from_quat(log.attitude[:-1]).inv() * Rotation.from_quat(log.attitude[1:])).as_rotvec()
+    pairs = [(turned, log.ang_vel)]
+    if log.position is not None:
+        pairs.append((np.diff(log.position, axis=0), log.lin_vel))
+    ratios = [_rms(moved) / _rms(rate[1:] * step) for moved, rate in pairs if rate is not None and np.any(rate)]
+    exponent = round(np.log10(ratios[-1]) / 3.0) if ratios and ratios[-1] > 0.0 else 0
+    return {-1: "ms", -2: "us", -3: "ns"}.get(exponent, "")
+
+
+def without_bad_quaternions(log: FlightLog) -> FlightLog:
+    """Return the log without rows whose quaternion is none, before anything makes it unit.
+
+    Raises:
+        DataError: If they are more than ``MOST_BAD``.
+    """
     norm = np.linalg.norm(log.attitude, axis=1)
-    off = np.flatnonzero(np.abs(norm - 1.0) > 0.05)
-    if off.size:
-        row = int(off[0])
-        raise DataError(
-            f"{log.where(row)}: the attitude quaternion {np.round(log.attitude[row], 4).tolist()} has norm "
-            f"{norm[row]:.4g}, must be 1; check that q_x, q_y, q_z, q_w hold a quaternion"
-        )
+    bad = np.abs(norm - 1.0) > NORM_OFF
+    if not bad.any():
+        return log
+    row = int(np.argmax(bad))
+    if bad.mean() <= MOST_BAD:
+        where = places([f"t = {time:.6g} s" for time in log.time[bad]])
+        note = f"{bad.sum()} of {bad.size} rows left out: their attitude quaternion does not have norm 1 ({where})"
+        log = part_of(log, ~bad)
+        return replace(log, notes=(*log.notes, note))
+    raise DataError(
+        f"{log.where(row)}: the attitude quaternion {np.round(log.attitude[row], 4).tolist()} has norm "
+        f"{norm[row]:.4g}, must be 1; check that q_x, q_y, q_z, q_w hold a quaternion"
+    )
 
 
 def _check_constant_columns(log: FlightLog) -> None:

@@ -1,5 +1,5 @@
-"""Are the columns of rotors, commands and voltage what they claim to be: speeds of this robot's rotors in rad/s, in force
-mode thrusts in N, volts.
+"""Are the columns of rotors and commands what they claim to be: speeds of this robot's rotors in rad/s, in force mode
+thrusts in N.
 
 Letters: T rows, R rotors.
 """
@@ -18,7 +18,7 @@ from aerial_gym.sim2real.logs.recording import FlightLog
 
 
 def check_rotors(log: FlightLog, robot: RobotCfg) -> None:
-    """Raise ``DataError`` for rotor columns of another robot, unit or sign, and for voltages that are none."""
+    """Raise ``DataError`` for rotor columns of another robot, unit or sign."""
     if log.num_rotors != robot.num_rotors:
         raise DataError(
             f"{log.path}: has {log.num_rotors} rotor columns, the robot has {robot.num_rotors} rotors; "
@@ -34,12 +34,6 @@ def check_rotors(log: FlightLog, robot: RobotCfg) -> None:
         if values is not None:
             _check_sign(log, name, values, robot)
             _check_unit(log, name, values, robot)
-    if log.battery is not None and np.any(log.battery <= 0.0):
-        row = int(np.argmax(log.battery <= 0.0))
-        raise DataError(
-            f"{log.where(row)}: the battery voltage is {log.battery[row]:g} V, must be > 0; leave the whole column empty if "
-            "it was not measured"
-        )
 
 
 def without_copied_commands(log: FlightLog) -> FlightLog:
@@ -78,7 +72,6 @@ def _check_unit(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> No
     ratio = thrust / (robot.body.mass * STANDARD_GRAVITY)
     if 1.0 / 3.0 < ratio < 3.0:
         return
-    speed = float(np.median(values))
     guess = f"check the unit ({unit}) and the robot"
     for other in ("rpm", "rev/s"):
         if unit == "rad/s" and 0.5 < high(UNITS[other] * values) * ratio / thrust < 2.0:
@@ -86,6 +79,6 @@ def _check_unit(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> No
     if np.all((values >= 0.0) & (values <= 1.0)):
         guess = f"it looks like a fraction of full throttle: leave these columns out, or convert them to {unit}"
     raise DataError(
-        f"{log.path}: {name}_1..{values.shape[1]} (median {speed:.4g}) would give {ratio:.3g} times the weight of the "
-        f"declared robot; {guess}"
+        f"{log.path}: {name}_1..{values.shape[1]} (90th percentile {np.percentile(values, 90.0):.4g}) would give {ratio:.3g} "
+        f"times the weight of the declared robot; {guess}"
     )

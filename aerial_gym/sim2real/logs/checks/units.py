@@ -242,9 +242,7 @@ def _unit(letter: str, found: Relation, factor: float, mends: float) -> str:
     columns = _columns([letter], (found.low < factor * (1.0 + FITS)) & (found.high > factor * (1.0 - FITS)))
     best = min(units, key=lambda unit: abs(np.log(mends / UNITS[unit])))
     if abs(np.log(mends / UNITS[best])) < FITS:
-        return (
-            f"it looks as if {columns} were in {best} (factor {mends:.3g}): give {name} unit: {best} in a mapping file"
-        )
+        return f"{columns} were in {best} (factor {mends:.3g}): give {name} unit: {best} in a mapping file"
     way = f"give {name} gain: {mends:.3g} in a mapping file"
     return f"{columns} had to be multiplied by {mends:.3g}, which no unit explains: {way}"
 

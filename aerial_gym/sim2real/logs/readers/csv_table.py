@@ -3,8 +3,10 @@
 Letters: T rows.
 """
 
-from collections.abc import Sequence
+import csv
+from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -12,55 +14,110 @@ import pandas as pd
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.logs.readers.csv_lines import find_header, lines_of
 from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, ColumnsCfg, LogMapping, find_mapping, mapping_names
-from aerial_gym.sim2real.logs.recording import HEADER_LINES
+from aerial_gym.sim2real.logs.readers.stamps import MOST_BAD, checked_stamps, places, seconds_of
 
 FEW_DIGITS = 20
 """If time stands still in more than one row of so many, it was written with too few digits."""
 
+EMPTY = ("", "nan", "NaN", "NAN", "-nan", "null", "NULL", "None", "NA", "N/A", "-")
+"""Fields that stand for no value."""
 
-def read_table(path: Path, layout: LogMapping) -> pd.DataFrame:
-    """Return the file as text and numbers: empty fields are NaN, and only they."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise DataError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: cannot be read as text ({error}); give a CSV file with one header line") from None
-    lines = text.rstrip().splitlines()
-    if len(lines) < 2:
+LARGEST = 1e9
+"""Size in SI units beyond which no measurement of a flight is one."""
+
+
+def csv_rows(path: Path, layout: LogMapping, notes: list[str]) -> tuple[pd.DataFrame, Array, tuple[float, ...]]:
+    """Return the rows of a file with good time stamps, their time [s] (T,), and the corrected times of clock steps [s]."""
+    table = without_copies(read_table(path, layout, notes), notes)
+    stamps = checked_stamps(stamps_of(table, layout, str(path)), str(path))
+    bad = table.index[~stamps.kept]
+    _note_rows(bad.tolist(), len(table), "time stamps that do not fit the rows around them", notes)
+    table = table.drop(index=bad)
+    notes.extend(step.sentence(f"line {table.index[step.row]}") for step in stamps.steps)
+    return table, stamps.time, tuple(float(stamps.time[step.row]) for step in stamps.steps)
+
+
+def read_table(path: Path, layout: LogMapping, notes: list[str]) -> pd.DataFrame:
+    """Return the columns of a file; the index is the line of each row, empty fields are NaN.
+
+    Lines that do not fit the header, and rows with a field that is no number, are left out and noted.
+
+    Raises:
+        DataError: If the file is no table with the columns of the layout.
+    """
+    lines = lines_of(path)
+    source = iter(enumerate(lines, start=1))
+    header = find_header((line for _, line in source), layout.time.columns[0])
+    rows = [] if header is None else [(n, header.row(line)) for n, line in source if not header.is_remark(line)]
+    if header is None or not rows:
         raise DataError(f"{path}: holds no rows; a flight log has one header line and one line per sample")
-    width = lines[0].count(",")
-    for mark, name in ((";", "';'"), ("\t", "tabs"), (" ", "spaces")):
-        if width == 0 and lines[0].strip().count(mark) > 1:
-            raise DataError(f"{path}: fields are separated by {name}; separate them by ','")
-    for number, line in enumerate(lines, start=1):
-        if line.count(",") != width:
-            fields = line.count(",") + 1
-            raise DataError(
-                f"{path}, line {number}: has {fields} fields, the header has {width + 1}; "
-                "remove the line if the log was cut off there"
-            )
-    names = [name.strip() for name in lines[0].split(",")]
-    wanted = {name for q in layout.quantities().values() for name in _names(q, names)}
-    twice = sorted(name for name in wanted if names.count(name) > 1)
-    if twice:
-        raise DataError(f"{path}: column {twice[0]!r} appears twice in the header; rename or remove one of them")
-    try:
-        table = pd.read_csv(
-            path,
-            encoding="utf-8-sig",
-            keep_default_na=False,
-            na_values=[""],
-            skipinitialspace=True,
-            float_precision="round_trip",
+    bad = [n for n, row in rows if row is None]
+    if len(bad) > MOST_BAD * len(rows):
+        raise DataError(
+            f"{path}, line {bad[0]}: its fields do not fit the {len(header.names)} names of the header, as in {len(bad)} of "
+            f"{len(rows)} lines; correct the header"
         )
-    except (ValueError, OverflowError) as error:  # an unbalanced quote, a field that is no text
-        raise DataError(f"{path}: cannot be read as CSV ({' '.join(str(error).split())})") from None
-    if len(table.columns) != len(names):
-        raise DataError(f"{path}: the header has {len(names)} fields, pandas finds {len(table.columns)}; remove quotes")
-    table.columns = names
-    return table
+    _note_rows(bad, len(rows), f"not the {len(header.names)} fields of the header", notes)
+    wanted = {name: q for q in layout.quantities().values() for name in _names(q, header.names)}
+    if twice := sorted(name for name in wanted if header.names.count(name) > 1):
+        raise DataError(f"{path}: column {twice[0]!r} appears twice in the header; rename or remove one of them")
+    table = pd.read_csv(
+        StringIO("\n".join(row for _, row in rows if row is not None)),
+        header=None,
+        index_col=False,
+        keep_default_na=False,
+        na_values=list(EMPTY),
+        quoting=csv.QUOTE_NONE,
+        skip_blank_lines=False,
+        skipinitialspace=True,
+        float_precision="round_trip",
+    )
+    table.columns = pd.Index(header.names)
+    table.index = pd.Index([n for n, row in rows if row is not None])
+    return _numeric(table, wanted, layout.time.columns[0], str(path), notes)
+
+
+def _numeric(
+    table: pd.DataFrame, wanted: Mapping[str, ColumnsCfg], time: str, path: str, notes: list[str]
+) -> pd.DataFrame:
+    """Return the table with numbers in the wanted columns, without the rows that hold something else there.
+
+    A time that is no number is a bad stamp: it stays, as NaN.
+    """
+    bad, example = np.zeros(len(table), dtype=bool), ""
+    for name, quantity in wanted.items():
+        if name not in table.columns:
+            continue
+        filled, text = np.asarray(table[name].notna()), np.asarray(table[name])
+        numbers = np.asarray(pd.to_numeric(table[name], errors="coerce"))
+        size = np.abs(numbers.astype(np.float64)) * UNITS[quantity.unit]
+        table[name] = np.where(np.isfinite(size), numbers, np.nan) if numbers.dtype.kind == "f" else numbers
+        if name == time:
+            continue
+        wrong = filled & ~np.isfinite(size)
+        if wrong.mean() > MOST_BAD:
+            row = int(np.argmax(wrong))
+            raise DataError(
+                f"{path}, line {table.index[row]}: {name} = {text[row]!s} is no finite number, as in {wrong.mean():.0%} of the "
+                "rows; leave the whole column empty if it was not measured"
+            )
+        far = size > LARGEST
+        wrong |= far & (far.mean() <= MOST_BAD)  # more of them are a wrong unit
+        if wrong.any() and not bad.any():
+            example = f"{name} = {text[int(np.argmax(wrong))]!s}"
+        bad |= wrong
+    out = table.index[bad]
+    _note_rows(out.tolist(), len(table), f"a field that is no number of a flight, such as {example}", notes)
+    return table.drop(index=out)
+
+
+def _note_rows(lines: Sequence[int], total: int, reason: str, notes: list[str]) -> None:
+    """Note how many rows were left out, why, and where."""
+    if lines:
+        where = places([f"line {line}" for line in lines])
+        notes.append(f"{len(lines)} of {total} rows left out: {reason} ({where})")
 
 
 def _names(quantity: ColumnsCfg, known: Sequence[str]) -> list[str]:
@@ -87,34 +144,28 @@ def columns_of(table: pd.DataFrame, quantity: ColumnsCfg, name: str, path: str) 
 
 
 def without_copies(table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
-    """Return the table without rows that are the same as the one before in every column, time included."""
-    copies = np.arange(len(table)) > 0
-    for _, column in table.items():
-        before = column.shift()
-        copies &= np.asarray((column == before) | (column.isna() & before.isna()))
-        if not copies.any():
-            return table
-    notes.append(f"{int(copies.sum())} rows that are copies of the one before, time included, were left out")
+    """Return the table without rows that equal an earlier one in every column, time included."""
+    copies = np.asarray(table.duplicated())
+    if not copies.any():
+        return table
+    notes.append(f"{int(copies.sum())} rows that are copies of an earlier one, time included, were left out")
     return table.drop(index=table.index[copies])
 
 
-def time_of(table: pd.DataFrame, layout: LogMapping, path: str) -> Array:
-    """Return the time [s]; refuse a missing column and time that stands still or runs back."""
+def stamps_of(table: pd.DataFrame, layout: LogMapping, path: str) -> Array:
+    """Return the time stamps as logged [s], NaN where a row has none; refuse a missing column and one with too few digits."""
     column = layout.time.columns[0]
-    time = column_in(table, column, path) * UNITS[layout.time.unit]
-    back = np.flatnonzero(np.diff(time) <= 0.0)
-    if back.size * FEW_DIGITS > time.size and np.all(np.diff(time) >= 0.0):
+    if column not in table.columns or bool(table[column].isna().all()):
+        raise DataError(not_there(column, list(table.columns), path))
+    stamps = seconds_of(table[column].to_numpy(), UNITS[layout.time.unit])
+    steps = np.diff(stamps[np.isfinite(stamps)])
+    still = int(np.sum(steps == 0.0))
+    if still * FEW_DIGITS > stamps.size and np.all(steps >= 0.0):
         raise DataError(
-            f"{path}: {column} is the same in {back.size} rows as in the row before; it has too few digits to tell rows apart: "
-            "write it with more, counted from the start of the flight"
+            f"{path}: {column} is the same in {still} rows as in the row before; its digits are too few to tell rows apart, or "
+            "rows of two time courses were sorted by it: write the rows as they were measured, with more digits"
         )
-    if back.size:
-        row = int(back[0]) + 1
-        raise DataError(
-            f"{path}, line {row + 1 + HEADER_LINES}: {column} = {time[row]:.6g} s does not increase "
-            f"(row before: {time[row - 1]:.6g} s); sort the rows and remove repeated ones"
-        )
-    return time
+    return stamps
 
 
 def column_in(table: pd.DataFrame, column: str, path: str) -> Array:
@@ -142,16 +193,12 @@ def numbers_in(
     found, filled = np.empty((len(table), len(columns))), 0
     for index, column in enumerate(columns):
         numbers = np.asarray(pd.to_numeric(table[column], errors="coerce"), dtype=np.float64)
-        bad = np.flatnonzero(np.asarray(table[column].notna()) & ~np.isfinite(numbers))
-        if bad.size:
-            raise DataError(
-                f"{path}, line {bad[0] + 1 + HEADER_LINES}: {column} = {table[column].iloc[bad[0]]!s} is no finite "
-                "number; cut the flight there, or leave the whole column empty if it was not measured"
-            )
         if gaps:
             found[:, index] = numbers
             continue
-        found[:, index] = _fill(numbers, quantity, time, f"{path}, line {{line}}: {column}", held=held)
+        found[:, index] = _fill(
+            numbers, quantity, time, lambda row, name=column: f"{path}, line {table.index[row]}: {name}", held=held
+        )
         filled += int(np.isnan(numbers).sum())
     if filled:
         how = "by the value before" if held else "by straight lines"
@@ -159,7 +206,7 @@ def numbers_in(
     return found
 
 
-def _fill(numbers: Array, quantity: ColumnsCfg, time: Array, where: str, *, held: bool) -> Array:
+def _fill(numbers: Array, quantity: ColumnsCfg, time: Array, where: Callable[[int], str], *, held: bool) -> Array:
     """Return ``numbers`` without NaN: short runs become straight lines, or the value before; long ones are refused."""
     empty = np.isnan(numbers)
     if not empty.any():
@@ -170,9 +217,8 @@ def _fill(numbers: Array, quantity: ColumnsCfg, time: Array, where: str, *, held
         gap = float(full_time[stop + 1] - full_time[start])
         if gap > quantity.fill_gap_s or quantity.fill_gap_s == 0.0:
             raise DataError(
-                where.format(line=start + 1 + HEADER_LINES)
-                + f" is empty (NaN) for {stop - start} rows while other rows have it; cut the flight there, fill the gap, "
-                "or let a mapping file allow it (fill_gap_s)"
+                f"{where(int(start))} is empty (NaN) for {stop - start} rows while other rows have it; cut the flight there, "
+                "fill the gap, or let a mapping file allow it (fill_gap_s)"
             )
     known = np.flatnonzero(~empty)
     if held:

@@ -4,6 +4,7 @@ World is ENU (z up), body is x forward, y left, z up, quaternions are xyzw, body
 Letters: T rows, R rotors.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,22 +14,20 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.logs.checks.conventions import without_bad_quaternions
+from aerial_gym.sim2real.logs.checks.time_courses import check_clock_steps
 from aerial_gym.sim2real.logs.readers.csv_table import (
+    LARGEST,
     column_in,
     columns_of,
+    csv_rows,
     mapping_hint,
     not_there,
     numbers_in,
-    read_table,
-    time_of,
-    without_copies,
 )
 from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, ColumnsCfg, LogMapping, find_mapping
 from aerial_gym.sim2real.logs.readers.ulog import ulog_table
-from aerial_gym.sim2real.logs.recording import HEADER_LINES, FlightLog
-
-LARGEST = 1e9
-"""Size in SI units beyond which no measurement of a flight is one."""
+from aerial_gym.sim2real.logs.recording import FlightLog
 
 COMPANION_GAP_S = 0.1
 """Longest gap [s] in another vehicle's log across which its position is interpolated."""
@@ -53,11 +52,12 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
         DataError: If file, columns or fields cannot be used; the message names file, row or column and the way out.
     """
     ulog = Path(path).suffix.lower() == ".ulg"
-    layout = mapping or find_mapping("px4_ulog" if ulog else "aerial_gym")
-    table = ulog_table(Path(path)) if ulog else read_table(Path(path), layout)
-    notes: list[str] = []
-    table = without_copies(table, notes)
-    time = time_of(table, layout, str(path))
+    layout, notes = mapping or find_mapping("px4_ulog" if ulog else "aerial_gym"), list[str]()
+    if ulog:
+        table, clock_steps = ulog_table(Path(path), notes)
+        time = column_in(table, layout.time.columns[0], str(path)) * UNITS[layout.time.unit]
+    else:
+        table, time, clock_steps = csv_rows(Path(path), layout, notes)
     values: dict[str, Array] = {}
     for name, quantity in layout.quantities().items():
         if name == "time":
@@ -65,7 +65,13 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
         columns = columns_of(table, quantity, name, str(path))
         if columns:
             gaps, held = name == "other_position", name == "rotor_command"
-            raw = numbers_in(table, columns, quantity, time, str(path), notes, gaps=gaps, held=held)
+            try:
+                raw = numbers_in(table, columns, quantity, time, str(path), notes, gaps=gaps, held=held)
+            except DataError as error:
+                if name != "battery":
+                    raise
+                notes.append(f"battery voltage left out: {error}")
+                continue
             values[name] = _converted(raw, table, quantity, str(path)) * UNITS[quantity.unit]
             if np.nanmax(np.abs(values[name]), initial=0.0) > LARGEST:
                 raise DataError(
@@ -80,15 +86,16 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
         notes.append("attitude not logged: taken as level")
     if integrated:
         _integrate_attitude(values, time, layout, str(path), notes)
-    _require(values, layout, list(table.columns), str(path), hover=hover)
-    battery = values.pop("battery", None)
+    _require(values, layout, list(table.columns), str(path), notes, hover=hover)
+    battery = _volts(values.pop("battery", None), time, notes)
     heights = {name: _height(values.pop(name), layout, name, str(path)) for name in HEIGHTS if name in values}
     wind = _known_wind(Path(path), layout, notes)
     command, companion = layout.rotor_command, _companion(Path(path), layout, time, notes)
-    return FlightLog(
+    log = FlightLog(
         path=str(path),
         time=time,
-        battery=None if battery is None else battery[:, 0],
+        lines=None if ulog else table.index.to_numpy(),
+        battery=battery,
         collective=command is not None and command.repeat > 1,
         lift_off=layout.lift_off_m,
         hover_above=layout.hover_above_m,
@@ -98,6 +105,20 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
         notes=tuple(notes),
         **{"other_position": companion, **heights, **_to_package_frames(values, layout)},
     )
+    if clock_steps:
+        check_clock_steps(without_bad_quaternions(log), clock_steps)
+    return log
+
+
+def _volts(values: Array | None, time: Array, notes: list[str]) -> Array | None:
+    """Return the battery voltage [V], (T,), with straight lines in place of values that are none; None without any."""
+    if values is None or not (bad := values[:, 0] <= 0.0).any():
+        return None if values is None else values[:, 0]
+    if bad.all():
+        notes.append("battery voltage left out: it is not above 0 V in any row")
+        return None
+    notes.append(f"battery voltage is not above 0 V in {bad.sum()} of {bad.size} rows; filled by straight lines")
+    return np.interp(time, time[~bad], values[~bad, 0])
 
 
 def _height(values: Array, layout: LogMapping, name: str, path: str) -> float:
@@ -121,7 +142,7 @@ def _converted(raw: Array, table: pd.DataFrame, quantity: ColumnsCfg, path: str)
         other = column_in(table, column, path)
         if np.any(other <= 0.0):
             row = int(np.argmax(other <= 0.0))
-            raise DataError(f"{path}, line {row + 1 + HEADER_LINES}: {column} = {other[row]:g}, must be > 0")
+            raise DataError(f"{path}, line {table.index[row]}: {column} = {other[row]:g}, must be > 0")
         values = values * other[:, None] ** power
     if quantity.power != 1.0 and np.any(values < 0.0):
         raise DataError(f"{path}: {quantity.columns[0]} is negative and cannot be raised to {quantity.power:g}")
@@ -172,7 +193,9 @@ def _known_wind(path: Path, layout: LogMapping, notes: list[str]) -> tuple[float
     return wind
 
 
-def _require(values: dict[str, Array], layout: LogMapping, known: list[str], path: str, *, hover: bool) -> None:
+def _require(
+    values: dict[str, Array], layout: LogMapping, known: list[str], path: str, notes: Sequence[str], *, hover: bool
+) -> None:
     """Raise ``DataError`` unless the log has what every use of it needs."""
     if "attitude" not in values and layout.attitude is not None:
         column = next((name for name in layout.attitude.columns if name not in known), layout.attitude.columns[0])
@@ -182,12 +205,13 @@ def _require(values: dict[str, Array], layout: LogMapping, known: list[str], pat
                 "q = qz(yaw) qy(pitch) qx(roll), body to world, into q_x, q_y, q_z, q_w"
             )
         raise DataError(not_there(column, known, path))
+    lost = "".join(f" {note}." for note in notes if note.startswith("topic left out"))
     for one, other in (("ang_vel", "specific_force"), ("rotor_speed", "rotor_command")):
         if one in values or other in values or (hover and one == "ang_vel"):
             continue
         options = [q.columns for key, q in layout.quantities().items() if key in (one, other)]
         wanted = " or ".join(", ".join(columns) for columns in options) or f"{one} or {other} in the mapping"
-        raise DataError(f"{path}: needs the columns {wanted}; they are missing or empty.{mapping_hint(known)}")
+        raise DataError(f"{path}: needs the columns {wanted}; they are missing or empty.{mapping_hint(known)}{lost}")
     if "rotor_speed" in values and "rotor_command" in values:
         speeds, commands = values["rotor_speed"].shape[1], values["rotor_command"].shape[1]
         if speeds != commands:

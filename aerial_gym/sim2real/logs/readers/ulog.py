@@ -8,6 +8,9 @@ VehicleAngularVelocity, ActuatorMotors, ActuatorOutputs, EscStatus, BatteryStatu
 """
 
 from collections.abc import Mapping
+from contextlib import redirect_stdout
+from dataclasses import dataclass, replace
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +18,7 @@ import pandas as pd
 
 from aerial_gym.errors import DataError, MissingDependencyError
 from aerial_gym.sim2real.arrays import Array, Flags
+from aerial_gym.sim2real.logs.readers.stamps import CheckedStamps, ClockStep, checked_stamps, places, seconds_of
 from aerial_gym.sim2real.logs.signals import signs_of
 
 Topics = Mapping[str, Mapping[str, Array]]
@@ -40,12 +44,45 @@ CLOCKS = ("vehicle_attitude", "vehicle_angular_velocity", "sensor_combined", "es
 REACH = 2.5
 """A row needs samples of a topic on both sides, not further apart than this many of the topic's usual steps."""
 
+LONGEST_LATENCY_US = 1_000_000
+"""A sample is stamped at most so long before it is published [us]; else its stamp is not on the clock of the log."""
+
+WRAP_S = 2**32 * 1e-6
+"""A driver with a counter of 32 bits of microseconds is late by a multiple of this [s]."""
+
+MOST_UNCOVERED = 0.01
+"""A larger share of rows without samples of a topic is noted."""
+
 SLOWEST_CLOCK_HZ = 20.0
 """A topic slower than this is no clock; it is left out, and the note says so, unless it is the attitude."""
 
 
-def ulog_table(path: Path) -> pd.DataFrame:
-    """Return the table of a ULog file, read by pyulog.
+@dataclass(frozen=True, kw_only=True)
+class Series:
+    """The usable samples of a topic."""
+
+    time: Array
+    """Increasing [s], (T,)."""
+
+    columns: dict[str, Array]
+    """Each (T,)."""
+
+    steps: tuple[ClockStep, ...]
+    """Steps back of the clock, taken out of ``time``."""
+
+    @property
+    def set_back(self) -> tuple[ClockStep, ...]:
+        """Return the steps that no counter explains: all topics have them in common."""
+        return tuple(step for step in self.steps if not step.counter)
+
+    @property
+    def step(self) -> float:
+        """Return the usual time between two samples [s]."""
+        return float(np.median(np.diff(self.time)))
+
+
+def ulog_table(path: Path, notes: list[str]) -> tuple[pd.DataFrame, tuple[float, ...]]:
+    """Return the table of a ULog file, read by pyulog, and the corrected times of steps of its clock [s].
 
     Raises:
         DataError: If the file is no ULog, or has no attitude.
@@ -58,62 +95,142 @@ def ulog_table(path: Path) -> pd.DataFrame:
     if not path.is_file():
         raise DataError(f"{path}: no such file")
     try:
-        log = ULog(str(path), list(TOPICS))
+        with redirect_stdout(StringIO()):  # pyulog prints what it skips
+            log = ULog(str(path), list(TOPICS))
     except Exception as error:  # pyulog raises whatever its parser meets
         raise DataError(f"{path}: cannot be read as a PX4 ULog ({error!r})") from None
-    return topics_table({part.name: part.data for part in log.data_list if part.multi_id == 0}, str(path))
+    if log.file_corruption:
+        notes.append("the file is damaged; pyulog left out what it could not read")
+    return topics_table({part.name: part.data for part in log.data_list if part.multi_id == 0}, str(path), notes)
 
 
-def topics_table(topics: Topics, path: str) -> pd.DataFrame:
-    """Return the table of topics, each a mapping of its fields to arrays, timestamps in microseconds.
+def topics_table(topics: Topics, path: str, notes: list[str]) -> tuple[pd.DataFrame, tuple[float, ...]]:
+    """Return the table of topics, each a mapping of its fields to arrays, and the corrected times of clock steps [s].
 
-    Faster topics are averaged over a step of the clock, slower ones joined by straight lines, commands held. Rows without
-    samples nearby are left out, so that a gap stays a gap.
+    Faster topics are averaged over a step of the slowest one, slower ones joined by straight lines, commands held. Rows without
+    samples nearby are left out, so that a gap stays a gap. A topic without usable time stamps is left out and noted.
 
     Raises:
-        DataError: If there is no attitude.
+        DataError: If there is no attitude, or its time stamps cannot be used.
     """
-    series = {name: found for name in TOPICS if name in topics and (found := _series(topics, name, path))}
-    if "vehicle_attitude" not in series:
+    if "vehicle_attitude" not in topics:
         raise DataError(f"{path}: has no topic vehicle_attitude; log it (SDLOG_PROFILE) and fly again")
-    steps = {name: float(np.median(np.diff(time))) for name, (time, _) in series.items()}
-    clocks = [n for n in CLOCKS if n in series and (steps[n] < 1.0 / SLOWEST_CLOCK_HZ or n == "vehicle_attitude")]
-    clock = max(clocks, key=lambda name: steps[name])
-    rows, columns = series[clock][0], {}
+    try:
+        reference = _series(topics, "vehicle_attitude", notes)
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from None
+    found = {"vehicle_attitude": reference}
+    for name in TOPICS.keys() & topics.keys() - {"vehicle_attitude"}:
+        try:
+            found[name] = _on_clock_of(reference, _series(topics, name, notes), name)
+        except DataError as error:
+            notes.append(f"topic left out: {error}")
+    series = _with_common_steps({name: found[name] for name in TOPICS if name in found and found[name].columns})
+    clocks = [n for n in CLOCKS if n in series and (series[n].step < 1.0 / SLOWEST_CLOCK_HZ or n == "vehicle_attitude")]
+    clock = max(clocks, key=lambda name: series[name].step)
+    rows, columns = series[clock].time, {}
     near = np.ones(rows.size, dtype=bool)
-    for name, (time, values) in series.items():
+    for name, one in series.items():
         if name in CLOCKS and name not in clocks:
             continue  # too slow to say anything about the rotors
         held = name.startswith("actuator")
-        for label, column in values.items():
-            columns[label] = column if name == clock else _on_clock(rows, time, column, steps[clock], held=held)
+        for label, column in one.columns.items():
+            columns[label] = (
+                column if name == clock else _on_clock(rows, one.time, column, series[clock].step, held=held)
+            )
         if name != "battery_status":
-            near &= _covered(rows, time, steps[name])
-    return pd.DataFrame({name: column[near] for name, column in {"t": rows, **columns}.items()})
+            covered = _covered(rows, one.time, one.step)
+            if np.mean(~covered) > MOST_UNCOVERED:
+                notes.append(f"{np.sum(~covered)} of {rows.size} rows left out: topic {name} has no samples near them")
+            near &= covered
+    attitude = series["vehicle_attitude"]
+    table = pd.DataFrame({name: column[near] for name, column in {"t": rows, **columns}.items()})
+    return table, tuple(float(attitude.time[step.row]) for step in attitude.steps)
 
 
-def _series(topics: Topics, name: str, path: str) -> tuple[Array, dict[str, Array]] | None:
-    """Return times [s], increasing, and the columns of a topic; None if it has no usable rows."""
-    topic = topics[name]
-    wanted = dict(TOPICS[name])
+def _series(topics: Topics, name: str, notes: list[str]) -> Series:
+    """Return the usable samples of a topic; without columns if it holds none.
+
+    Raises:
+        DataError: If its time stamps cannot be used.
+    """
+    topic, wanted = topics[name], dict(TOPICS[name])
     if name == "sensor_combined" and "vehicle_angular_velocity" not in topics:
         wanted |= GYRO
-    clock = "timestamp_sample" if "timestamp_sample" in topic else "timestamp"
-    stamp = np.asarray(topic[clock], dtype=np.float64) * 1e-6
     values = {label: np.asarray(topic[key], dtype=np.float64) for key, label in wanted.items() if key in topic}
     values = {label: column for label, column in values.items() if np.isfinite(column).any()}
     if name in ("esc_status", "actuator_outputs"):  # unused entries are 0 in every row
         values = {label: column for label, column in values.items() if np.any(column != 0.0)}
     if not values:
-        return None
-    good = np.all([np.isfinite(column) for column in values.values()], axis=0)
-    good &= np.concatenate(([True], np.diff(np.maximum.accumulate(stamp)) > 0.0))
+        return Series(time=np.zeros(0), columns={}, steps=())
+    whole = np.all([np.isfinite(column) for column in values.values()], axis=0)
+    checked = _checked_time(topic, f"topic {name}")
+    good = whole[checked.kept]
     if good.sum() < 2:
-        raise DataError(f"{path}: topic {name} has {good.sum()} usable rows, needs 2")
+        raise DataError(f"topic {name} has {good.sum()} usable rows, needs 2")
+    if bad := np.flatnonzero(~checked.kept).tolist():
+        where = places([f"sample {row}" for row in bad])
+        notes.append(
+            f"topic {name}: {len(bad)} of {whole.size} samples left out: time stamps that do not fit the others ({where})"
+        )
     if name == "vehicle_attitude":
+        notes.extend(step.sentence(f"sample {step.row} of {name}") for step in checked.steps)
         signs = signs_of(np.stack([values[f"q_{axis}"] for axis in "wxyz"], axis=1))
         values = {label: column * signs for label, column in values.items()}
-    return stamp[good], {label: column[good] for label, column in values.items()}
+    steps = tuple(replace(step, row=int(good[: step.row].sum())) for step in checked.steps)
+    columns = {label: column[checked.kept][good] for label, column in values.items()}
+    return Series(time=checked.time[good], columns=columns, steps=steps)
+
+
+def _checked_time(topic: Mapping[str, Array], name: str) -> CheckedStamps:
+    """Return the time of a topic: when it was sampled, or when it was published if the former is not on the clock."""
+    published, sampled = (topic.get(name) for name in ("timestamp", "timestamp_sample"))
+    stamps = [stamp for stamp in (sampled, published) if stamp is not None]
+    if sampled is not None and published is not None:
+        latency = np.asarray(published).astype(np.int64) - np.asarray(sampled).astype(np.int64)
+        if np.median((latency >= 0) & (latency < LONGEST_LATENCY_US)) == 0.0:
+            stamps.reverse()
+    try:
+        return checked_stamps(seconds_of(stamps[0], 1e-6), name)
+    except DataError:
+        if len(stamps) == 1:
+            raise
+        return checked_stamps(seconds_of(stamps[1], 1e-6), name)
+
+
+def _on_clock_of(reference: Series, one: Series, name: str) -> Series:
+    """Return a topic on the clock of another one, for drivers whose counter wraps after ``WRAP_S``.
+
+    Raises:
+        DataError: If they have no time in common, or steps of the clock of one are not in the other.
+    """
+    if not one.columns:
+        return one
+    turns = round(float(np.median(reference.time) - np.median(one.time)) / WRAP_S)
+    shifted = replace(one, time=one.time + turns * WRAP_S)
+    if not (shifted.time[0] < reference.time[-1] and reference.time[0] < shifted.time[-1]):
+        raise DataError(
+            f"topic {name} runs from {one.time[0]:.6g} to {one.time[-1]:.6g} s, vehicle_attitude from "
+            f"{reference.time[0]:.6g} to {reference.time[-1]:.6g} s"
+        )
+    if len(one.set_back) != len(reference.set_back):
+        raise DataError(
+            f"topic {name} shows {len(one.set_back)} steps back of the clock, vehicle_attitude {len(reference.set_back)}"
+        )
+    return shifted
+
+
+def _with_common_steps(series: dict[str, Series]) -> dict[str, Series]:
+    """Return topics whose clock was corrected by the same amounts: each by the least, which the fastest topic tells best."""
+    shifts = np.array([[step.shift for step in one.set_back] for one in series.values()])
+    least = shifts.min(axis=0)
+    found = dict[str, Series]()
+    for (name, one), own in zip(series.items(), shifts, strict=True):
+        time = one.time.copy()
+        for step, excess in zip(one.set_back, own - least, strict=True):
+            time[step.row :] -= excess
+        found[name] = replace(one, time=time)
+    return found
 
 
 def _on_clock(rows: Array, time: Array, values: Array, step: float, *, held: bool) -> Array:

@@ -24,7 +24,9 @@ from aerial_gym.physics.articulated.tree import Links, TreeState
 from aerial_gym.physics.model import Model, robot_effects
 from aerial_gym.physics.rotor_lag import follow_command
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.logs.readers.csv_table import csv_rows
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import edge_rows, interpolated, lowpass, uniform_log
 
@@ -60,15 +62,14 @@ def read_course(path: Path, robot: RobotCfg, *, bandwidth: float) -> Course:
     """
     assert robot.joints is not None
     log = uniform_log(read_flight_log(path))
-    table = pd.read_csv(path, skipinitialspace=True)
-    table.columns = [str(name).strip() for name in table.columns]
+    table, time, _ = csv_rows(path, find_mapping("aerial_gym"), [])
     columns = []
     for number, name in enumerate(robot.joints.names, 1):
         known = [column for column in (f"joint_{name}", f"joint_{number}") if column in table.columns]
         if not known:
             raise DataError(f"{path}: has no angle of the joint {name}: a column joint_{name}, or joint_{number} [rad]")
         columns.append(known[0])
-    time, angles = np.asarray(table["t"], dtype=float), np.asarray(table[columns], dtype=float)
+    angles = np.asarray(table[columns].apply(pd.to_numeric, errors="coerce"), dtype=float)
     if not np.isfinite(angles).all():
         raise DataError(f"{path}: angles of joints hold empty fields or no numbers; cut the log, or fill them")
     return course_of(robot, log, interpolated(log.time, time, angles), bandwidth=bandwidth)

@@ -8,13 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import pandas as pd
-
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.joint import SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.outcome import NOTHING_NAMED
+from aerial_gym.sim2real.logs.readers.csv_lines import find_header, lines_of
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import uniform_log
 from aerial_gym.sim2real.plain import fields_of, plain
@@ -115,7 +114,8 @@ def find_joints(
 
 
 def _has_angles(path: Path) -> bool:
-    return any(str(name).strip().startswith("joint_") for name in pd.read_csv(path, nrows=0).columns)
+    header = find_header(lines_of(path), "t")
+    return header is not None and any(name.startswith("joint_") for name in header.names)
 
 
 def _in_short(robot: RobotCfg, joint: FlownJoint) -> FoundJoint:

@@ -141,11 +141,34 @@ def test_what_cannot_be_watched_is_refused() -> None:
     with pytest.raises(DataError, match="neither rotor_1"):
         Watch(ROBOT, [column for column in columns if not column.startswith("rotor")])
     watch = Watch(ROBOT, columns)
-    watch.add(np.ones(len(columns)))
-    with pytest.raises(DataError, match="does not come after"):
-        watch.add(np.ones(len(columns)))
     with pytest.raises(DataError, match="a row has 3 fields"):
         watch.add([1.0, 2.0, 3.0])
+
+
+def test_bad_rows_change_nothing_that_is_told() -> None:
+    """Absurd, zero, missing and repeated stamps, rows without attitude: the same alarms within a few rows."""
+    table = failing()
+    bad = table.copy()
+    bad.loc[[300, 700, 1300], "t"] = [99.0, 0.0, np.nan]
+    bad.loc[900, ["q_x", "q_y", "q_z", "q_w"]] = 0.0
+    bad.loc[1000, "t"] = bad.loc[999, "t"]
+    watch = Watch(ROBOT, list(bad.columns))
+    alarms = [alarm for row in bad.to_numpy() for alarm in watch.add(row)] + watch.ended()
+    clean = told_of(table)
+    assert [alarm.stage for alarm in alarms] == [alarm.stage for alarm in clean]
+    assert alarms[-1].failure.params["motor"] == clean[-1].failure.params["motor"]
+    assert alarms[-1].failure.time == pytest.approx(clean[-1].failure.time, abs=0.05)
+    assert (watch.bad_rows, watch.clock_steps) == (5, 0)
+
+
+def test_a_clock_that_is_set_back_in_flight_is_followed() -> None:
+    """The failure is named as much later as it is without the step."""
+    table = failing().assign(t=lambda rows: rows["t"] - 2.0 * (rows.index >= 600))
+    watch = Watch(ROBOT, list(table.columns))
+    alarms = [alarm for row in table.to_numpy() for alarm in watch.add(row)] + watch.ended()
+    assert (watch.bad_rows, watch.clock_steps) == (0, 1)
+    assert [alarm.stage for alarm in alarms] == [SUSPECTED, NAMED]
+    assert alarms[1].failure.time == pytest.approx(ONSET, abs=0.2)
 
 
 def test_noise_alone_passes_a_limit_no_more_often_than_is_said() -> None:

@@ -11,13 +11,16 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.logs.on_ground import rows_on_ground
+from aerial_gym.sim2real.logs.on_ground import check_airborne, rows_on_ground
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import declared_params
 from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.predict.rollout import HORIZONS_S
 from aerial_gym.sim2real.predict.tolerances import Tolerances
+from aerial_gym.sim2real.predict.windows import find_windows, longest_windows
+from aerial_gym.sim2real.replay import replay_flights
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write
 
 RATE = 100.0
@@ -131,3 +134,34 @@ def test_a_log_of_a_vehicle_on_the_ground_is_refused(table: pd.DataFrame, tmp_pa
     ground = on_ground(table, 4000, idle=200.0, at=-1)
     with pytest.raises(DataError, match=r"stands on the ground in 8\d% of the rows: .* cut the log to the flight"):
         loaded([table, ground], tmp_path)
+
+
+def test_a_hop_is_compared_where_it_is_long_enough_and_refused_where_it_is_not(
+    table: pd.DataFrame, tmp_path: Path
+) -> None:
+    """The low-pass spoils 0.21 s at each end; a rollout needs the window before it and 0.1 s."""
+
+    def hop(seconds: float) -> pd.DataFrame:
+        rows = round(seconds * RATE)
+        flown = table.iloc[200 : 200 + rows].reset_index(drop=True)
+        before, after = (on_ground(flown, 150, idle=250.0, at=at) for at in (0, rows - 1))
+        whole = pd.concat((before, flown, after), ignore_index=True)
+        return whole.assign(t=np.arange(len(whole)) / RATE)
+
+    for seconds, horizons in ((0.8, (0.1, 0.5)), (1.5, (0.1, 0.5, 1.0))):
+        hopped = load_flight(write(hop(seconds), tmp_path / f"{seconds}.csv"), ROBOT, mapping=None, bandwidth=10.0)
+        assert longest_windows([hopped], HORIZONS_S)[0] == horizons
+    lowest = load_flight(write(hop(0.8), tmp_path / "low.csv"), ROBOT, mapping=None, bandwidth=10.0)
+    windows = find_windows([lowest], 0.1)
+    lowest = replace(
+        lowest, on_ground=np.asarray(lowest.on_ground) | np.isin(np.arange(lowest.num_rows), windows.row + 3)
+    )
+    result = replay_flights(ROBOT, [lowest], bandwidth=10.0)
+    assert all(np.isfinite(rms.value) for rms in result.evaluation.residual)
+    assert result.evaluation.rollout == {}
+    with pytest.raises(DataError):
+        load_flight(write(hop(0.3), tmp_path / "short.csv"), ROBOT, mapping=None, bandwidth=10.0)
+    stands = np.ones(len(table), dtype=bool)
+    stands[100:130] = False
+    with pytest.raises(DataError, match="never airborne"):
+        check_airborne(read_flight_log(write(table, tmp_path / "a.csv")), stands, 10.0)

@@ -98,7 +98,7 @@ def test_copies_of_a_row_are_left_out(table: pd.DataFrame, tmp_path: Path) -> No
     twice = pd.concat((table[:100], table[99:100], table[100:]))
     log = read_flight_log(write(twice, tmp_path / "a.csv"))
     assert log.time.size == len(table)
-    assert log.notes == ("1 rows that are copies of the one before, time included, were left out",)
+    assert log.notes == ("1 rows that are copies of an earlier one, time included, were left out",)
 
 
 def test_a_pose_that_repeats_all_along_a_short_log_is_said(table: pd.DataFrame, tmp_path: Path) -> None:

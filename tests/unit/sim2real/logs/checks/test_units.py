@@ -106,8 +106,9 @@ def test_the_unit_of_velocity_is_named_and_the_way_out_mends_it(
     ],
 )
 def test_other_units_signs_and_orders(table: pd.DataFrame, tmp_path: Path, change: object, message: str) -> None:
-    with pytest.raises(DataError, match=message):
+    with pytest.raises(DataError, match=message) as refused:
         check(change(table), tmp_path)  # type: ignore[operator]
+    assert str(refused.value).count("looks as if") == 1
 
 
 def test_a_log_that_hardly_moves_cannot_tell_and_passes(table: pd.DataFrame, tmp_path: Path) -> None:

@@ -67,22 +67,19 @@ def test_empty_columns_are_a_sensor_that_was_not_there(table: pd.DataFrame, tmp_
         (lambda t: t.rename(columns={"q_w": "qw"}), r"column 'q_w' is missing or empty while 'q_x' is there"),
         (lambda t: t.drop(columns=[f"rotor_{n}" for n in range(1, 5)]), r"needs the columns rotor_\{n\} or cmd_\{n\}"),
         (lambda t: t.assign(cmd_1=900.0, cmd_2=900.0), r"has 4 rotor speeds and 2 commands"),
-        (lambda t: t.assign(t=t["t"].where(t.index != 50, t["t"][49])), r"line 52: t = 0\.49 s does not increase"),
         (
             lambda t: t.assign(t=t["t"].round(1)),
-            r"t is the same in \d+ rows as in the row before; it has too few digits",
+            r"t is the same in \d+ rows as in the row before; its digits are too few",
         ),
-        (lambda t: t.assign(t=-t["t"]), r"line 3: t = -0\.01 s does not increase .*sort the rows"),
+        (lambda t: t.assign(t=-t["t"]), r"time does not increase .*in the order in which they were measured"),
         (
             lambda t: t.assign(omega_x=t["omega_x"].where((t.index < 7) | (t.index > 12))),
             r"line 9: omega_x is empty \(NaN\) for 6 rows while other rows have it; cut the flight there",
         ),
         (
-            lambda t: t.assign(acc_z=t["acc_z"].where(t.index != 7, np.inf)),
-            r"line 9: acc_z = inf is no finite number; cut the flight there",
+            lambda t: t.assign(acc_z=t["acc_z"].where(t.index % 2 == 0, np.inf)),
+            r"line 3: acc_z = inf is no finite number, as in 50% of the rows",
         ),
-        (lambda t: t.assign(v_x=t["v_x"].astype(object).where(t.index != 7, "nan")), r"line 9: v_x = nan is no finite"),
-        (lambda t: t.assign(v_x=t["v_x"].astype(object).where(t.index != 7, "abc")), r"line 9: v_x = abc is no finite"),
         (lambda t: t[:0], r"holds no rows"),
     ],
 )
@@ -93,18 +90,12 @@ def test_a_bad_table_is_refused_with_the_place_and_the_way_out(
         read_flight_log(write(change(table), tmp_path / "a.csv"))  # type: ignore[operator]
 
 
-def test_a_log_that_was_cut_off_names_the_line(table: pd.DataFrame, tmp_path: Path) -> None:
+def test_a_log_that_was_cut_off_loses_its_last_line(table: pd.DataFrame, tmp_path: Path) -> None:
     path = write(table, tmp_path / "a.csv")
     path.write_text(path.read_text()[:-60])
-    with pytest.raises(DataError, match=r"line 301: has \d+ fields, the header has 21; remove the line"):
-        read_flight_log(path)
-
-
-@pytest.mark.parametrize(("mark", "name"), [(";", "';'"), ("\t", "tabs"), (" ", "spaces")])
-def test_other_separators_are_named(table: pd.DataFrame, tmp_path: Path, mark: str, name: str) -> None:
-    table.to_csv(tmp_path / "a.csv", index=False, sep=mark)
-    with pytest.raises(DataError, match=rf"fields are separated by {name}; separate them by ','"):
-        read_flight_log(tmp_path / "a.csv")
+    log = read_flight_log(path)
+    np.testing.assert_array_equal(log.time, table["t"][:-1])
+    assert "line 301" in log.notes[0]
 
 
 def test_a_column_that_appears_twice_is_refused(table: pd.DataFrame, tmp_path: Path) -> None:
@@ -119,7 +110,7 @@ def test_files_that_are_no_text_or_not_there(tmp_path: Path) -> None:
         read_flight_log(tmp_path / "none.csv")
     with pytest.raises(DataError, match=r"cannot be read as text"):
         read_flight_log(tmp_path)
-    (tmp_path / "b.csv").write_bytes(b"\xff\xfe\x00\x01" * 50)
+    (tmp_path / "b.csv").write_bytes(b"\xff\xfd\x00\x01" * 50)
     with pytest.raises(DataError, match=r"cannot be read as text"):
         read_flight_log(tmp_path / "b.csv")
 
@@ -218,12 +209,13 @@ def test_battery_and_another_vehicle_are_read_if_they_are_there(table: pd.DataFr
 
 
 @pytest.mark.parametrize("broken", ['"1', '1"2"', '"', '"a\n'])
-def test_unbalanced_quotes_are_refused_with_the_file(broken: str, tmp_path: Path) -> None:
+def test_a_row_with_an_unbalanced_quote_is_left_out(broken: str, tmp_path: Path) -> None:
     lines = ["t,q_x,q_y,q_z,q_w,omega_x,omega_y,omega_z,rotor_1"]
     lines += [f"{0.01 * i},0,0,0,1,0,0,0,{broken if i == 5 else 900}" for i in range(10)]
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
-    with pytest.raises(DataError, match="log.csv"):
-        read_flight_log(tmp_path / "log.csv")
+    log = read_flight_log(tmp_path / "log.csv")
+    np.testing.assert_allclose(log.time, np.delete(0.01 * np.arange(10), 5))
+    assert "line 7" in log.notes[0]
 
 
 def test_rotors_at_rest_and_numbers_of_no_flight_are_refused(tmp_path: Path) -> None:
@@ -232,6 +224,6 @@ def test_rotors_at_rest_and_numbers_of_no_flight_are_refused(tmp_path: Path) -> 
     with pytest.raises(DataError, match="rotor_1..4 .* give the declared robot no thrust"):
         load_flights([write(resting, tmp_path / "rest.csv")], ROBOT, mapping=None, bandwidth=10.0)
     far = flight(0, seconds=3.0, rate=100.0)
-    far.loc[7, "acc_x"] = 1e300
+    far["acc_x"] = 1e300
     with pytest.raises(DataError, match="acc_x to acc_z reach 1e.300 in SI units"):
         read_flight_log(write(far, tmp_path / "far.csv"))

@@ -1,6 +1,5 @@
 """Mappings of foreign layouts: conversions, missing attitude, companions; and PX4 ULog files written by the test itself."""
 
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import uniform_log
 from aerial_gym.sim2real.predict.channels import find_channels
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write
+from tests.unit.sim2real.ulog_files import topics, write_ulog
 
 BASE = {
     "summary": "test",
@@ -199,69 +199,6 @@ def test_a_piece_beyond_a_gap_at_the_end_is_cut_off_and_said(table: pd.DataFrame
     assert log.notes == ("15 rows beyond a gap of 0.16 s at the end or start were cut off",)
 
 
-def topics(table: pd.DataFrame) -> dict[str, dict[str, np.ndarray]]:
-    """A flight as PX4 would log it: NED, FRD, w first, microseconds, every topic at its own rate."""
-    stamp = np.round((table["t"].to_numpy() + 5.0) * 1e6).astype(np.uint64)
-    flip = np.array([1.0, -1.0, -1.0])
-    enu_to_ned = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-    attitude = (
-        enu_to_ned * Rotation.from_quat(table[["q_x", "q_y", "q_z", "q_w"]]) * Rotation.from_matrix(np.diag(flip))
-    )
-    ned = {key: table[[f"{key}_x", f"{key}_y", f"{key}_z"]].to_numpy()[:, [1, 0, 2]] * (1.0, 1.0, -1.0) for key in "pv"}
-    rpm = table.filter(like="rotor_").to_numpy() * 30.0 / np.pi
-    quaternion = attitude.as_quat()[:, [3, 0, 1, 2]]
-    omega = table[["omega_x", "omega_y", "omega_z"]].to_numpy() * flip
-    force = table[["acc_x", "acc_y", "acc_z"]].to_numpy() * flip
-
-    def topic(every: int, **fields: np.ndarray) -> dict[str, np.ndarray]:
-        return {
-            "timestamp": stamp[::every],
-            **{key: value[::every].astype(np.float32) for key, value in fields.items()},
-        }
-
-    return {
-        "vehicle_attitude": topic(2, **{f"q[{i}]": quaternion[:, i] for i in range(4)}),
-        "vehicle_local_position": topic(
-            4,
-            **{k: ned["p"][:, i] for i, k in enumerate("xyz")},
-            **{f"v{k}": ned["v"][:, i] for i, k in enumerate("xyz")},
-        ),
-        "vehicle_angular_velocity": topic(1, **{f"xyz[{i}]": omega[:, i] for i in range(3)}),
-        "sensor_combined": topic(1, **{f"accelerometer_m_s2[{i}]": force[:, i] for i in range(3)}),
-        "esc_status": topic(2, **{f"esc[{i}].esc_rpm": rpm[:, i] for i in range(4)}),
-        "battery_status": topic(50, voltage_v=np.full(len(table), 15.0)),
-    }
-
-
-def write_ulog(path: Path, found: dict[str, dict[str, np.ndarray]]) -> Path:
-    """Write a ULog file by its specification (docs.px4.io, ULog file format): header, flags, formats, subscriptions, data."""
-
-    def message(kind: str, payload: bytes) -> bytes:
-        return struct.pack("<HB", len(payload), ord(kind)) + payload
-
-    text = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + message("B", bytes(40))
-    data: list[tuple[int, bytes]] = []
-    for number, (name, fields) in enumerate(found.items()):
-        keys = [key for key in fields if key != "timestamp"]
-        plain = {key: key.replace("[", "_").replace("]", "").replace(".", "_") for key in keys}
-        arrays = dict.fromkeys(key.split("[")[0] for key in keys if "[" in key and "." not in key)
-        if arrays:
-            entries = "".join(f"float[{sum(k.startswith(a + '[') for k in keys)}] {a};" for a in arrays)
-        elif name == "esc_status":
-            text += message("F", b"esc_report:float esc_rpm;")
-            entries = f"esc_report[{len(keys)}] esc;"
-        else:
-            entries = "".join(f"float {plain[key]};" for key in keys)
-        text += message("F", f"{name}:uint64_t timestamp;{entries}".encode())
-        data += [
-            (int(stamp), message("D", struct.pack("<HQ", number, int(stamp)) + struct.pack(f"<{len(keys)}f", *row)))
-            for stamp, row in zip(fields["timestamp"], np.stack([fields[k] for k in keys], axis=1), strict=True)
-        ]
-    text += b"".join(message("A", struct.pack("<BH", 0, number) + name.encode()) for number, name in enumerate(found))
-    path.write_bytes(text + b"".join(part for _, part in sorted(data, key=lambda entry: entry[0])))
-    return path
-
-
 def check_px4(log: FlightLog, table: pd.DataFrame) -> None:
     """The log says in ENU and FLU what was flown, at the rows of the slowest clock."""
     rows = table.iloc[::2].reset_index(drop=True)
@@ -289,7 +226,7 @@ class PlainMapping:
     @staticmethod
     def read(found: dict[str, dict[str, np.ndarray]], folder: Path) -> FlightLog:
         path = folder / "ulog.csv"
-        topics_table(found, "a.ulg").to_csv(path, index=False)
+        topics_table(found, "a.ulg", [])[0].to_csv(path, index=False)
         return read_flight_log(path, mapping=find_mapping("px4_ulog"))
 
 
@@ -333,7 +270,7 @@ def test_a_gap_in_any_topic_stays_a_gap(name: str) -> None:
     stamp = found[name]["timestamp"]
     kept = (stamp < 7_000_000) | (stamp > 7_500_000)
     found[name] = {key: value[kept] for key, value in found[name].items()}
-    time = topics_table(found, "a.ulg")["t"].to_numpy()
+    time = topics_table(found, "a.ulg", [])[0]["t"].to_numpy()
     assert not np.any((time > 7.03) & (time < 7.48))
     assert np.diff(time).max() > 0.45
 
@@ -345,7 +282,7 @@ def test_pulses_and_controls_are_commands_that_a_mapping_converts(tmp_path: Path
     control = {f"control[{i}]": np.full(stamp.size, 0.5 if i < 4 else np.nan) for i in range(12)}
     found["actuator_motors"] = {"timestamp": stamp} | control
     path = tmp_path / "a.csv"
-    topics_table(found, "a.ulg").to_csv(path, index=False)
+    topics_table(found, "a.ulg", [])[0].to_csv(path, index=False)
     with pytest.raises(DataError, match=r"needs the columns rpm_"):
         read_flight_log(path, mapping=find_mapping("px4_ulog"))
     mapping = layout(rotor_command={"columns": ["control_{n}"], "gain": 1100.0}, body_frame="frd", world_frame="ned")
@@ -354,7 +291,7 @@ def test_pulses_and_controls_are_commands_that_a_mapping_converts(tmp_path: Path
 
 def test_topics_without_an_attitude_are_refused() -> None:
     with pytest.raises(DataError, match=r"a.ulg: has no topic vehicle_attitude; log it"):
-        topics_table({}, "a.ulg")
+        topics_table({}, "a.ulg", [])
 
 
 def test_a_ulog_file_is_a_flight_log(tmp_path: Path) -> None:

@@ -1,0 +1,113 @@
+"""Is a log one time course: does the motion go on where its clock was corrected, and from row to row.
+
+Attitude, position and velocity change from row to row as angular velocity, velocity and specific force say. Rows that were not
+measured one after the other do not. Letters: T rows, N windows.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog
+
+SURPRISE = 1e-3
+"""The motion does not go on across a step of the clock if fewer of the other rows have a larger error than this share."""
+
+WINDOW_ROWS = 50
+"""Rows that are judged together: errors of one course then differ by a tenth between lags."""
+
+LAGS = (2, 3, 4)
+"""Rows between two of the same course, where two courses alternate; 3 and 4 are for an irregular order."""
+
+APART = 3.0
+"""The ratio of the errors is about 1 in one time course, and the distance of the courses over the noise in two."""
+
+
+def check_clock_steps(log: FlightLog, times: Sequence[float]) -> None:
+    """Raise ``DataError`` if the motion does not go on where the clock was corrected, at these times [s].
+
+    The error of the motion there is compared with that of all other rows.
+    """
+    rows = np.searchsorted(log.time, times)
+    rows = rows[(rows > 0) & (rows < log.time.size)]
+    if not rows.size:
+        return
+    others = np.delete(np.arange(log.time.size - 1), rows - 1)
+    for name, errors in motion_errors(log, 1).items():
+        for row in rows.tolist():
+            if np.mean(errors[others] >= errors[row - 1]) < SURPRISE:
+                raise DataError(
+                    f"{log.where(row)}: the clock was set back there, and the {name} does not go on from the row before: rows "
+                    "are missing, or another flight begins; cut the log there and give both parts as flights"
+                )
+
+
+def check_one_course(log: FlightLog) -> None:
+    """Raise ``DataError`` if the rows follow two time courses in turn, as after sorting a log whose clock was set back.
+
+    One quantity tells which earlier row each row goes on from; another one then fits that row far better than the row before.
+    """
+    errors = {lag: motion_errors(log, lag) for lag in (1, *LAGS)}
+    names, first = list(errors[1]), LAGS[-1]
+    if log.time.size < first + WINDOW_ROWS or len(names) < 2:
+        return
+    lagged = {name: np.stack([errors[lag][name][first - lag :] for lag in (1, *LAGS)]) for name in names}
+    moved = _motion_over(log, first)
+    for chooser in names:
+        best = 1 + np.argmin(lagged[chooser][1:], axis=0)
+        for name in names:
+            before, fitting = lagged[name][0], np.take_along_axis(lagged[name], best[None], axis=0)[0]
+            apart = _means(before) > np.maximum(APART * _means(fitting), _means(moved[name]))
+            if name != chooser and apart.any():
+                row = first + int(np.argmax(apart)) * WINDOW_ROWS
+                raise DataError(
+                    f"{log.where(row)}: from there on the rows follow two time courses in turn: the clock was set back, and "
+                    "the rows were sorted by time; give the log in the order in which it was written"
+                )
+
+
+def motion_errors(log: FlightLog, lag: int) -> dict[str, Array]:
+    """Return the errors of the change over some rows against its rate, by quantity, (T - lag,) each.
+
+    The attitude is in rad, position in m, velocity in m/s. A quantity whose rate was not measured should not change.
+    """
+    passed = (log.time[lag:] - log.time[:-lag])[:, None]
+    attitude = Rotation.from_quat(log.attitude)
+    turned = (attitude[:-lag].inv() * attitude[lag:]).as_rotvec()
+    found = {"attitude": turned - _mean_rate(log.ang_vel, lag, turned) * passed}
+    if log.position is not None:
+        moved = log.position[lag:] - log.position[:-lag]
+        found["position"] = moved - _mean_rate(log.lin_vel, lag, moved) * passed
+    if log.lin_vel is not None:
+        gained = log.lin_vel[lag:] - log.lin_vel[:-lag]
+        found["velocity"] = gained - _mean_rate(_acceleration(log), lag, gained) * passed
+    return {name: np.linalg.norm(values, axis=1) for name, values in found.items()}
+
+
+def _acceleration(log: FlightLog) -> Array | None:
+    """Return the acceleration that the accelerometer feels [m/s²], world, (T, 3); None without one."""
+    if log.specific_force is None:
+        return None
+    return Rotation.from_quat(log.attitude).apply(log.specific_force) - AT_REST
+
+
+def _mean_rate(rate: Array | None, lag: int, like: Array) -> Array:
+    """Return the mean of a rate at both ends of some rows, (T - lag, 3); 0 if it was not measured."""
+    return np.zeros_like(like) if rate is None else 0.5 * (rate[lag:] + rate[:-lag])
+
+
+def _motion_over(log: FlightLog, rows: int) -> dict[str, Array]:
+    """Return how far each quantity moves over some rows at its measured rate, (T - rows,): sensors that repeat err by less."""
+    passed = log.time[rows:] - log.time[:-rows]
+    rates = {"attitude": log.ang_vel, "position": log.lin_vel, "velocity": _acceleration(log)}
+    still = np.zeros(passed.size)
+    return {n: still if r is None else passed * np.linalg.norm(r[rows:], axis=1) for n, r in rates.items()}
+
+
+def _means(values: Array) -> Array:
+    """Return the means over windows of ``WINDOW_ROWS`` rows, (N,)."""
+    count = values.size // WINDOW_ROWS
+    return values[: count * WINDOW_ROWS].reshape(count, WINDOW_ROWS).mean(axis=1)

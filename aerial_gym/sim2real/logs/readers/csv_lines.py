@@ -1,0 +1,125 @@
+"""Lines of CSV files as people have them: separators, quotes, remarks, and lines that are no rows."""
+
+import csv
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from aerial_gym.errors import DataError
+
+SEPARATORS = (";", "\t", ",")
+"""Separators of fields; a header without any of them is separated by spaces."""
+
+SPACES = " "
+"""Separator that stands for any run of white space."""
+
+ULOG_MAGIC = b"ULog\x01\x12\x35"
+"""First bytes of a PX4 ULog. Source: PX4 User Guide, ULog File Format, section Header."""
+
+ENCODINGS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
+"""Encodings by the mark at the beginning of a file; all others are read as UTF-8."""
+
+REMARK = re.compile(r"\s*(#|//|%|sep=|$)", re.IGNORECASE)
+"""Beginning of a line that is a remark, a spreadsheet's hint, or empty."""
+
+DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+"""A number with a decimal comma."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CsvHeader:
+    """The names of the columns and the separator of a CSV file."""
+
+    names: tuple[str, ...]
+    separator: str
+
+    def row(self, line: str) -> str | None:
+        """Return a line with one comma between fields and decimal points; None if its fields do not fit the header."""
+        commas = len(self.names) - 1
+        if '"' in line or self.separator == SPACES:
+            line = ",".join(_plain(field) for field in split_fields(line, self.separator))
+        elif self.separator != ",":
+            line = line.replace(",", ".").replace(self.separator, ",")
+        while line.count(",") > commas and line.rstrip().endswith(","):
+            line = line.rstrip()[:-1]  # a separator at the end of the line
+        return line if line.count(",") == commas and "\0" not in line else None
+
+    def is_remark(self, line: str) -> bool:
+        """Return whether a line is no row: a remark, empty, or the header once more."""
+        if line[:1] in _STARTS:
+            return False
+        return bool(REMARK.match(line)) or split_fields(line, self.separator)[: len(self.names)] == list(self.names)
+
+
+_STARTS = frozenset("0123456789+-.")
+"""First characters of nearly all rows."""
+
+
+def _plain(field: str) -> str:
+    """Return a field without a comma."""
+    return field.replace(",", "." if DECIMAL_COMMA.fullmatch(field) else " ")
+
+
+def split_fields(line: str, separator: str) -> list[str]:
+    """Return the fields of a line without quotes and outer spaces; none if a quote is not closed."""
+    if '"' not in line:
+        return [field.strip() for field in (line.split() if separator == SPACES else line.split(separator))]
+    try:
+        row = next(csv.reader([line.strip()], delimiter=separator, skipinitialspace=True, strict=True), [])
+    except csv.Error:
+        return []
+    return [field.strip() for field in row]
+
+
+def find_header(lines: Iterable[str], time: str) -> CsvHeader | None:
+    """Return the header of a CSV file and take its lines up to it; None if there is none.
+
+    Args:
+        lines: Lines of the file; an iterator stands behind the header afterwards.
+        time: Name of the column of time: a remark that names it is a header, as numpy writes it.
+    """
+    for line in lines:
+        header = _header_in(line.lstrip(" \t#") if REMARK.match(line) else line)
+        if header.names and (time in header.names or not REMARK.match(line)):
+            return header
+    return None
+
+
+def _header_in(line: str) -> CsvHeader:
+    separator = max(SEPARATORS, key=lambda mark: len(split_fields(line, mark)))
+    if len(split_fields(line, separator)) < 2:
+        separator = SPACES
+    names = split_fields(line, separator)
+    while names and not names[-1]:
+        names.pop()
+    return CsvHeader(names=tuple(names), separator=separator)
+
+
+def lines_of(path: Path) -> list[str]:
+    """Return the lines of a text file.
+
+    Raises:
+        DataError: If it cannot be read, or is no text.
+    """
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such file") from None
+    except OSError as error:
+        raise DataError(
+            f"{path}: cannot be read as text ({error.strerror}); give a CSV file with one header line"
+        ) from None
+    check_text(data, str(path))
+    text = data.decode(ENCODINGS.get(data[:2], "utf-8-sig"), errors="replace")
+    return re.split(r"\r\n|\n|\r", text)
+
+
+def check_text(data: bytes, path: str) -> None:
+    """Raise ``DataError`` if the first bytes of a file are not those of a text."""
+    if data.startswith(ULOG_MAGIC):
+        raise DataError(
+            f"{path}: is a PX4 ULog, not a CSV file; replay and close-loop read it if its name ends in .ulg"
+        )
+    if data[:2] not in ENCODINGS and b"\0" in data.split(b"\n", 1)[0]:
+        raise DataError(f"{path}: cannot be read as text: it holds binary data; give a CSV file with one header line")

@@ -1,0 +1,262 @@
+"""Logs with bad rows, stamps or headers: the flight is read without them, each fault is noted, and nothing is sorted."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.flights import even_log, load_flights
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.readers.mapping import find_mapping
+from aerial_gym.sim2real.logs.readers.ulog import topics_table
+from aerial_gym.sim2real.logs.recording import FlightLog
+from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.ulog_files import topics, write_ulog
+
+
+@pytest.fixture(scope="module")
+def table() -> pd.DataFrame:
+    return flight(2, seconds=4.0, rate=200.0, noise=1.0)
+
+
+def check_rows(log: FlightLog, table: pd.DataFrame, atol: float = 0.0) -> None:
+    """The log holds these rows."""
+    np.testing.assert_allclose(log.time, table["t"], atol=1e-6)
+    np.testing.assert_allclose(log.attitude, table[["q_x", "q_y", "q_z", "q_w"]], atol=atol)
+    assert log.rotor_speed is not None
+    np.testing.assert_allclose(log.rotor_speed, table[[f"rotor_{n}" for n in range(1, 5)]], atol=atol)
+
+
+def csv_lines(table: pd.DataFrame) -> list[str]:
+    return table.to_csv(index=False).splitlines()
+
+
+LAYOUTS: dict[str, Callable[[list[str]], str]] = {
+    "quoted header": lambda lines: "\n".join([",".join(f'"{name}"' for name in lines[0].split(",")), *lines[1:]]),
+    "all quoted": lambda lines: "\n".join(",".join(f'"{field}"' for field in line.split(",")) for line in lines),
+    "spaces in quotes": lambda lines: "\n".join([", ".join(f'" {n} "' for n in lines[0].split(",")), *lines[1:]]),
+    "semicolons": lambda lines: "\n".join(line.replace(",", ";") for line in lines),
+    "decimal commas": lambda lines: "\n".join(line.replace(",", ";").replace(".", ",") for line in lines),
+    "quoted decimal commas": lambda lines: "\n".join(
+        [lines[0], *(",".join(f'"{field.replace(".", ",")}"' for field in line.split(",")) for line in lines[1:])]
+    ),
+    "tabs": lambda lines: "\n".join(line.replace(",", "\t") for line in lines),
+    "spaces": lambda lines: "\n".join(line.replace(",", "  ") for line in lines),
+    "comma and space": lambda lines: "\n".join(line.replace(",", ", ") for line in lines),
+    "byte order mark": lambda lines: "\ufeff" + "\n".join(lines),
+    "windows line ends": lambda lines: "\r\n".join(lines),
+    "old line ends": lambda lines: "\r".join(lines),
+    "trailing commas": lambda lines: "\n".join(line + "," for line in lines),
+    "trailing commas in the rows": lambda lines: "\n".join([lines[0], *(line + "," for line in lines[1:])]),
+    "remarks": lambda lines: "\n".join(
+        ["# flight 7", "", "// pilot: x", lines[0], "# take-off", *lines[1:], "", "# end"]
+    ),
+    "header behind #": lambda lines: "\n".join(["# made by hand", "# " + lines[0], *lines[1:]]),
+    "spreadsheet": lambda lines: "\n".join(["sep=;", *(line.replace(",", ";") for line in lines)]),
+    "header twice": lambda lines: "\n".join([*lines[:200], lines[0], *lines[200:]]),
+    "rows twice": lambda lines: "\n".join([lines[0], *(line for line in lines[1:] for _ in range(2))]),
+    "a block twice": lambda lines: "\n".join([*lines[:200], *lines[150:]]),
+    "zeros at the end": lambda lines: "\n".join(lines) + "\n" + "\0" * 500,
+}
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_tables_as_people_have_them(name: str, table: pd.DataFrame, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_bytes(LAYOUTS[name](csv_lines(table)).encode())
+    check_rows(read_flight_log(tmp_path / "a.csv"), table)
+
+
+def test_text_of_utf_16(table: pd.DataFrame, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_bytes("\n".join(csv_lines(table)).encode("utf-16"))
+    check_rows(read_flight_log(tmp_path / "a.csv"), table)
+
+
+@pytest.mark.parametrize(
+    ("bad", "line"), [("1,2,3", 52), ("abc", 52), (",".join(["x"] * 21), 52), ("\0\0\0", 52), ('"', 52)]
+)
+def test_a_line_that_is_no_row_is_left_out(bad: str, line: int, table: pd.DataFrame, tmp_path: Path) -> None:
+    lines = csv_lines(table)
+    lines[line - 1] = bad
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    log = read_flight_log(tmp_path / "a.csv")
+    check_rows(log, table.drop(index=line - 2))
+    assert any(f"line {line}" in note for note in log.notes)
+    assert log.lines is not None
+    assert log.lines[line - 2] == line + 1
+
+
+@pytest.mark.parametrize("value", ["inf", "abc", "1e300"])
+def test_a_field_that_is_no_number_of_a_flight_costs_its_row(value: str, table: pd.DataFrame, tmp_path: Path) -> None:
+    broken = table.astype({"acc_z": object})
+    broken.loc[[7, 300], "acc_z"] = value
+    log = read_flight_log(write(broken, tmp_path / "a.csv"))
+    check_rows(log, table.drop(index=[7, 300]))
+    assert any("line 9, line 302" in note for note in log.notes)
+
+
+@pytest.mark.parametrize("empty", ["nan", "NaN", "null", ""])
+def test_words_for_no_value_are_empty_fields(empty: str, table: pd.DataFrame, tmp_path: Path) -> None:
+    broken = table.astype({"acc_z": object}).assign(p_x=empty, p_y=empty, p_z=empty)
+    broken.loc[7, "acc_z"] = empty
+    log = read_flight_log(write(broken, tmp_path / "a.csv"))
+    assert log.position is None
+    assert log.specific_force is not None
+    assert log.specific_force[7, 2] == pytest.approx(0.5 * (table["acc_z"][6] + table["acc_z"][8]))
+
+
+def test_quaternions_of_zeros_cost_their_rows(table: pd.DataFrame, tmp_path: Path) -> None:
+    broken = table.copy()
+    broken.loc[[100, 101], ["q_x", "q_y", "q_z", "q_w"]] = 0.0
+    log = even_log(read_flight_log(write(broken, tmp_path / "a.csv")))
+    assert log.time.size == len(table)
+    np.testing.assert_allclose(np.linalg.norm(log.attitude, axis=1), 1.0)
+    assert any("2 of 800 rows" in note for note in log.notes)
+
+
+def test_bad_voltages_cost_the_voltage_alone(table: pd.DataFrame, tmp_path: Path) -> None:
+    starts = table.assign(vbat=np.where(np.arange(len(table)) < 5, 0.0, 16.0))
+    np.testing.assert_allclose(read_flight_log(write(starts, tmp_path / "a.csv")).battery, 16.0)  # type: ignore[arg-type]
+    for number, column in enumerate((0.0, np.where(np.arange(len(table)) % 500 == 0, 16.0, np.nan))):
+        log = read_flight_log(write(table.assign(vbat=column), tmp_path / f"b{number}.csv"))
+        assert log.battery is None
+        assert any("battery voltage left out" in note for note in log.notes)
+
+
+def set_back(table: pd.DataFrame, row: int = 450, seconds: float = 2.0) -> pd.DataFrame:
+    return table.assign(t=table["t"] - seconds * (table.index >= row))
+
+
+def test_a_clock_that_was_set_back_is_corrected_and_the_flight_is_the_same(table: pd.DataFrame, tmp_path: Path) -> None:
+    log = read_flight_log(write(set_back(table), tmp_path / "a.csv"))
+    check_rows(log, table)
+    assert any("line 452" in note for note in log.notes)
+    good, mended = (
+        load_flights([write(one, tmp_path / f"{name}.csv")], ROBOT, mapping=None, bandwidth=10.0)[0]
+        for name, one in (("good", table), ("mended", set_back(table)))
+    )
+    np.testing.assert_allclose(mended.attitude, good.attitude, atol=1e-9)
+    np.testing.assert_allclose(mended.time, good.time, atol=1e-9)
+
+
+def test_another_flight_in_the_same_file_is_refused_at_its_line(table: pd.DataFrame, tmp_path: Path) -> None:
+    both = pd.concat((table, flight(9, seconds=4.0, rate=200.0, noise=1.0)), ignore_index=True)
+    with pytest.raises(DataError, match="line 802"):
+        read_flight_log(write(both, tmp_path / "a.csv"))
+
+
+def test_a_set_back_with_lost_rows_is_refused_at_its_line(table: pd.DataFrame, tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="line 452"):
+        read_flight_log(write(set_back(table).drop(index=range(450, 530)), tmp_path / "a.csv"))
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.0017])
+@pytest.mark.parametrize("unique", [False, True])
+def test_a_log_that_was_sorted_after_its_clock_was_set_back_is_refused(
+    shift: float, unique: bool, table: pd.DataFrame, tmp_path: Path
+) -> None:
+    """Rows of two time courses follow each other; equal stamps stay, or a random one of them is dropped."""
+    mixed = set_back(table, seconds=2.0 + shift).sample(frac=1.0, random_state=0).sort_values("t", kind="stable")
+    if unique:
+        mixed = mixed.assign(key=mixed["t"].round(9)).drop_duplicates("key").drop(columns="key")
+    with pytest.raises(DataError):
+        even_log(read_flight_log(write(mixed, tmp_path / "a.csv")))
+
+
+@pytest.mark.parametrize("columns", [[], ["p_x", "p_y", "p_z"], ["v_x", "v_y", "v_z"], ["acc_x", "acc_y", "acc_z"]])
+@pytest.mark.parametrize("hold", [1, 2, 3, 4])
+def test_one_flight_is_one_time_course(hold: int, columns: list[str], table: pd.DataFrame, tmp_path: Path) -> None:
+    """Also with a tracker that is slower than the log, and where the log lacks a quantity."""
+    held = table.copy()
+    pose = ["p_x", "p_y", "p_z", "q_x", "q_y", "q_z", "q_w"]
+    held[pose] = held[pose].iloc[np.arange(len(table)) // hold * hold].to_numpy()
+    even_log(read_flight_log(write(held.drop(columns=columns), tmp_path / "a.csv")))
+
+
+# --- ULog ---------------------------------------------------------------------------------------------------------------
+
+
+def px4(found: dict[str, dict[str, np.ndarray]]) -> tuple[pd.DataFrame, list[str]]:
+    notes: list[str] = []
+    return topics_table(found, "a.ulg", notes)[0], notes
+
+
+def changed(name: str, change: Callable[[np.ndarray], object], table: pd.DataFrame, key: str = "timestamp"):
+    """Return topics in which the stamps of one are changed."""
+    found = topics(table)
+    found[name] |= {key: np.asarray(change(found[name]["timestamp"].copy()))}
+    return found
+
+
+def spiked(stamps: np.ndarray) -> np.ndarray:
+    stamps[200] += 40_000_000
+    return stamps
+
+
+@pytest.mark.parametrize("name", list(topics(flight(2, seconds=1.0))))
+def test_one_absurd_stamp_costs_one_sample(name: str, table: pd.DataFrame) -> None:
+    good, _ = px4(topics(table))
+    bad = 200 if len(topics(table)[name]["timestamp"]) > 200 else 5
+
+    def spike(stamps: np.ndarray) -> np.ndarray:
+        stamps[bad] += np.uint64(40_000_000)
+        return stamps
+
+    found, notes = px4(changed(name, spike, table))
+    assert len(good) - len(found) <= 1
+    assert found["t"].iloc[-1] == good["t"].iloc[-1]
+    assert any(name in note and f"sample {bad}" in note for note in notes)
+
+
+@pytest.mark.parametrize("stamps", [lambda t: 0 * t, lambda t: t + np.uint64(10**12), lambda t: t[::-1]])
+@pytest.mark.parametrize("name", ["battery_status", "vehicle_local_position"])
+def test_an_optional_topic_with_bad_stamps_is_left_out(name: str, stamps: Callable, table: pd.DataFrame) -> None:
+    good, _ = px4(topics(table))
+    found, notes = px4(changed(name, stamps, table))
+    assert set(good) - set(found) <= {"voltage", *(f"{q}_{axis}" for q in "pv" for axis in "xyz")}
+    assert abs(len(found) - len(good)) <= 4
+    assert any(note.startswith("topic left out") and name in note for note in notes)
+
+
+def test_a_sample_stamp_that_is_on_no_clock_gives_way_to_that_of_the_message(table: pd.DataFrame) -> None:
+    good, _ = px4(topics(table))
+    for stamps in (lambda t: 0 * t, lambda t: t - np.uint64(4_000_000), lambda t: t + np.uint64(10**12)):
+        found, _ = px4(changed("vehicle_local_position", stamps, table, "timestamp_sample"))
+        pd.testing.assert_frame_equal(found, good)
+
+
+def test_a_counter_of_32_bits_in_one_topic_is_unwrapped(table: pd.DataFrame) -> None:
+    found = topics(table)
+    for part in found.values():
+        part["timestamp"] = part["timestamp"] + np.uint64(2**32 - 7_000_000)
+    good, _ = px4(found)
+    found["esc_status"]["timestamp"] = found["esc_status"]["timestamp"] % np.uint64(2**32)
+    pd.testing.assert_frame_equal(px4(found)[0], good, atol=1e-9)
+    for part in found.values():
+        part["timestamp"] = part["timestamp"] % np.uint64(2**32)
+    pd.testing.assert_frame_equal(px4(found)[0], good, atol=1e-9)
+
+
+def test_a_clock_set_back_in_all_topics_is_corrected_by_one_amount(table: pd.DataFrame, tmp_path: Path) -> None:
+    good, _ = px4(topics(table))
+    found = topics(table)
+    del found["battery_status"]
+    for part in found.values():
+        part["timestamp"] = part["timestamp"] - np.where(part["timestamp"] > 7_003_000, 1_500_000, 0).astype(np.uint64)
+    table_of, notes = px4(found)
+    columns = ["t", "q_x", "q_y", "q_z", "q_w", "p_x", "rpm_1"]  # means of other samples differ by their noise
+    pd.testing.assert_frame_equal(table_of[columns], good[columns], rtol=1e-5, atol=1e-6)
+    assert any("set back" in note for note in notes)
+
+
+def test_topics_that_are_needed_are_named_where_their_stamps_are_bad(table: pd.DataFrame, tmp_path: Path) -> None:
+    pytest.importorskip("pyulog", reason="pyulog is not installed: pip install 'aerial-gym[sim2real]'")
+    with pytest.raises(DataError, match="esc_status"):
+        read_flight_log(write_ulog(tmp_path / "a.ulg", changed("esc_status", lambda t: 0 * t, table)))
+    with pytest.raises(DataError, match="vehicle_attitude"):
+        read_flight_log(write_ulog(tmp_path / "b.ulg", changed("vehicle_attitude", lambda t: 0 * t, table)))
+    log = read_flight_log(write_ulog(tmp_path / "c.ulg", changed("battery_status", lambda t: 0 * t, table)))
+    assert log.battery is None
+    assert find_mapping("px4_ulog").battery is not None

@@ -1,0 +1,139 @@
+"""Time stamps: bad ones cost their own rows, a clock that was set back or wrapped goes on, and nothing is sorted."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.readers.live_stamps import LiveStamps
+from aerial_gym.sim2real.logs.readers.stamps import checked_stamps, seconds_of
+
+ROWS, STEP = 2000, 0.0025
+TRUE = 5.0 + STEP * np.arange(ROWS)
+Change = Callable[[np.ndarray], list[int]]
+
+
+def put(rows: list[int], value: Callable[[np.ndarray], object]) -> Change:
+    """Return a change that gives some rows another stamp."""
+
+    def change(stamps: np.ndarray) -> list[int]:
+        stamps[rows] = value(stamps[rows])
+        return rows
+
+    return change
+
+
+def swap(one: int, other: int) -> Change:
+    """Return a change that exchanges two stamps."""
+
+    def change(stamps: np.ndarray) -> list[int]:
+        stamps[[one, other]] = stamps[[other, one]]
+        return [one, other]
+
+    return change
+
+
+BAD: dict[str, Change] = {
+    "absurd": put([300, 301, 900, 1500], lambda t: t + 40.0),
+    "far below": put([300, 900], lambda t: t - 1e6),
+    "a little ahead": put([300, 900], lambda t: t + 3.5 * STEP),
+    "a little behind": put([300, 900], lambda t: t - 3.5 * STEP),
+    "uint64 of a negative number": put([300], lambda t: 2.0**64 * 1e-6 - t),
+    "zero": put([300, 301, 302, 1500], lambda _: 0.0),
+    "a burst of zeros": put(list(range(700, 730)), lambda _: 0.0),
+    "missing": put([300, 301, 1500], lambda _: np.nan),
+    "first": put([0], lambda _: 0.0),
+    "last": put([ROWS - 1], lambda _: 1e9),
+    "swapped neighbours": swap(700, 701),
+    "swapped far apart": swap(100, 1700),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_bad_stamp_costs_its_own_row(name: str) -> None:
+    stamps = TRUE.copy()
+    bad = BAD[name](stamps)
+    found = checked_stamps(stamps, "a")
+    np.testing.assert_array_equal(np.flatnonzero(~found.kept), sorted(bad))
+    np.testing.assert_array_equal(found.time, np.delete(TRUE, bad))
+    assert found.steps == ()
+
+
+def test_a_clock_that_stands_still_costs_the_rows_that_repeat_it() -> None:
+    stamps = TRUE.copy()
+    stamps[500:504] = stamps[500]
+    found = checked_stamps(stamps, "a")
+    np.testing.assert_array_equal(np.flatnonzero(~found.kept), [501, 502, 503])
+
+
+@pytest.mark.parametrize("back", [4.5 * STEP, 0.05, 2.0, 1e3, 1.7e9])
+def test_a_clock_that_was_set_back_goes_on_by_one_step(back: float) -> None:
+    stamps = TRUE - back * (np.arange(ROWS) >= 900)
+    found = checked_stamps(stamps, "a")
+    (step,) = found.steps
+    assert found.kept.all()
+    assert (step.row, step.counter) == (900, "")
+    assert step.shift == pytest.approx(back, abs=1e-6)
+    np.testing.assert_allclose(found.time, TRUE, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("counter", "period"),
+    [("32 bits of 1 us", 4294.967296), ("16 bits of 1 ms", 65.536), ("the day", 86400.0), ("the GPS week", 604800.0)],
+)
+def test_a_counter_that_wraps_goes_on_exactly(counter: str, period: float) -> None:
+    """Two rows are lost where it wraps: the period tells that time went on by three steps."""
+    true = np.delete(TRUE - TRUE[900] + period + 0.5 * STEP, [900, 901])
+    found = checked_stamps(true % period, "a")
+    assert [step.counter for step in found.steps] == [counter]
+    assert found.steps[0].shift == period
+    np.testing.assert_allclose(found.time, true, atol=1e-6)
+
+
+def test_bad_stamps_beside_a_step_of_the_clock() -> None:
+    stamps = TRUE - 2.0 * (np.arange(ROWS) >= 900)
+    stamps[[880, 905, 1500]] = 0.0, 77.0, 0.0
+    found = checked_stamps(stamps, "a")
+    np.testing.assert_array_equal(np.flatnonzero(~found.kept), [880, 905, 1500])
+    np.testing.assert_allclose(found.time, np.delete(TRUE, [880, 905, 1500]), atol=1e-9)
+
+
+def test_gaps_and_jitter_are_no_fault() -> None:
+    rng = np.random.default_rng(0)
+    stamps = np.cumsum(STEP * rng.uniform(0.2, 1.8, ROWS)) + 3.0 * (np.arange(ROWS) > 700)
+    found = checked_stamps(stamps, "a")
+    assert found.kept.all()
+    np.testing.assert_array_equal(found.time, stamps)
+
+
+@pytest.mark.parametrize(
+    "stamps", [-TRUE, np.zeros(50), np.full(50, np.nan), TRUE[:1], np.random.default_rng(0).permutation(TRUE)]
+)
+def test_stamps_of_no_clock_are_refused(stamps: np.ndarray) -> None:
+    with pytest.raises(DataError):
+        checked_stamps(stamps, "a")
+
+
+def test_negative_numbers_in_unsigned_stamps_are_negative() -> None:
+    """A clock in microseconds that begins 2 ms before 0, as unsigned numbers of 64 bits."""
+    stamps = (np.arange(9) * 1000 - 2000).astype(np.int64).view(np.uint64)
+    np.testing.assert_allclose(seconds_of(stamps, 1e-6), np.arange(9) * 1e-3 - 2e-3, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["absurd", "far below", "zero", "missing", "swapped far apart"])
+def test_rows_that_come_one_by_one_lose_the_bad_ones(name: str) -> None:
+    stamps, live = TRUE.copy(), LiveStamps()
+    bad = BAD[name](stamps)
+    good = [row for number, stamp in enumerate(stamps) for row in live.add(np.array([stamp, number]), 0)]
+    np.testing.assert_array_equal([row[1] for row in good], np.delete(np.arange(ROWS), bad))
+    np.testing.assert_array_equal([row[0] for row in good], np.delete(TRUE, bad))
+    assert len(live.bad) == len(bad)
+    assert live.steps == 0
+
+
+def test_rows_that_come_one_by_one_go_on_after_a_gap_and_a_step_of_the_clock() -> None:
+    stamps, live = TRUE + 5.0 * (np.arange(ROWS) >= 500) - 9.0 * (np.arange(ROWS) >= 900), LiveStamps()
+    good = np.array([row[0] for stamp in stamps for row in live.add(np.array([stamp]), 0)])
+    assert (live.steps, live.bad) == (1, [])
+    np.testing.assert_allclose(good, TRUE + 5.0 * (np.arange(ROWS) >= 500), atol=1e-9)
