@@ -1,6 +1,5 @@
 """What stands beside every figure, and how figures are printed."""
 
-import json
 import os
 import platform
 import subprocess
@@ -12,6 +11,7 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
+from aerial_gym.config.console import json_line
 from aerial_gym.physics import BACKENDS
 
 PACKAGES = ("torch", "warp-lang", "aerial-gym")
@@ -52,7 +52,9 @@ def commit() -> str | None:
     """Return the short hash of the checkout, with ``-dirty`` if it was changed; None outside a checkout."""
     command = ["git", "describe", "--always", "--dirty", "--exclude=*"]
     try:
-        found = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
+        found = subprocess.run(
+            command, cwd=Path(__file__).parent, capture_output=True, encoding="utf-8", errors="replace", check=True
+        )
     except (OSError, subprocess.CalledProcessError):
         return None
     return found.stdout.strip()
@@ -61,7 +63,7 @@ def commit() -> str | None:
 def print_figures(figures: Mapping[str, object], *, as_json: bool) -> None:
     """Print one object a line for programs, or a table for people."""
     if as_json:
-        print(json.dumps(figures, ensure_ascii=False))
+        print(json_line(figures))
         return
     table = Table(box=None, pad_edge=False, show_header=False)
     for name, value in figures.items():

@@ -44,7 +44,8 @@ def run(
             cwd=folder or tempfile.gettempdir(),
             env={**os.environ, **(variables or {}), **limits},
             capture_output=True,
-            text=True,
+            encoding="utf-8",
+            errors="replace",
             timeout=TIMEOUT_S,
             preexec_fn=lambda: os.sched_setaffinity(0, cores),
         )

@@ -1,6 +1,5 @@
 """``aerial-gym check``: what a robot file describes, before anything is trained on it."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -8,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from aerial_gym.cli.progress import progress_bar
+from aerial_gym.config.console import json_line
 
 if TYPE_CHECKING:
     from aerial_gym.robots.check import RobotReport, StableStep
@@ -49,7 +49,7 @@ class CheckCmd:
                 progress("done", 1.0)
             failed |= bool(report.problems)
             if self.json:
-                print(json.dumps(report.as_mapping(), ensure_ascii=False))
+                print(json_line(report.as_mapping()))
             else:
                 _print(report)
             if self.picture is not None:

@@ -1,6 +1,5 @@
 """``aerial-gym close-loop``: flights in, a named effect and a corrected robot file out."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from aerial_gym.cli.progress import progress_bar
+from aerial_gym.config.console import json_line
 from aerial_gym.lazy import no_garbage
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ class CloseLoopCmd:
                 progress=progress,
             )
         if self.json:
-            print(json.dumps(verdict.as_mapping(), ensure_ascii=False))
+            print(json_line(verdict.as_mapping()))
         else:
             _print_verdict(verdict, self.out)
         return 0

@@ -52,7 +52,7 @@ def visible_robot(name: str, folder: str) -> str:
     seen = replace(
         robot, visible=True, visual=robot.visual or _arms_and_rotors([m.position for m in robot.mounts.layout])
     )
-    file.write_text(dump_yaml(seen), encoding="utf-8")
+    file.write_text(dump_yaml(seen), encoding="utf-8", errors="surrogateescape")
     return str(file)
 
 

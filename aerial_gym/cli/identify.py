@@ -1,6 +1,5 @@
 """``aerial-gym identify``: numbers of a robot file from bench measurements, with intervals and held-out errors."""
 
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from aerial_gym.cli.progress import progress_bar
+from aerial_gym.config.console import json_line
 from aerial_gym.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -255,7 +255,7 @@ def _write(out: Path | None, study: "Study", options: dict[str, object], inputs:
 
 def _show(study: "Study", out: Path | None, *, as_json: bool) -> int:
     if as_json:
-        print(json.dumps(study.mapping, ensure_ascii=False, allow_nan=False))
+        print(json_line(study.mapping, allow_nan=False))
         return 0
     console = Console(markup=False)
     console.print(f"{study.title}. {study.intro}")

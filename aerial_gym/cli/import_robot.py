@@ -48,7 +48,7 @@ class ImportRobotCmd:
             hints = replace(hints, rotor_links=self.rotor_links)
         imported = import_robot(self.file, hints)
         robot = imported.robot if self.summary is None else replace(imported.robot, summary=self.summary)
-        self.out.write_text(dump_yaml(robot), encoding="utf-8")
+        self.out.write_text(dump_yaml(robot), encoding="utf-8", errors="surrogateescape")
         for note in imported.notes:
             print(f"left out: {note}", file=sys.stderr)
         print(self.out)

@@ -1,6 +1,5 @@
 """``aerial-gym list``: what is registered."""
 
-import json
 import sys
 from argparse import ArgumentParser
 from collections.abc import Sequence
@@ -8,6 +7,7 @@ from dataclasses import dataclass
 from shutil import get_terminal_size
 from textwrap import fill
 
+from aerial_gym.config.console import json_line
 from aerial_gym.errors import UnknownNameError
 from aerial_gym.lazy import Home
 
@@ -63,7 +63,7 @@ class ListCmd:
             raise UnknownNameError(f"no kind {self.kind!r}. Known: {', '.join(kinds)}")
         found = {kind: _summaries(homes) for kind, homes in kinds.items() if self.kind in (None, kind)}
         if self.json:
-            print(json.dumps(found, ensure_ascii=False, indent=2))
+            print(json_line(found, indent=2))
             return 0
         rows = [(kind, name, line) for kind, lines in found.items() for name, line in lines.items()]
         widths = [max(len(row[column]) for row in rows) + 2 for column in (0, 1)]

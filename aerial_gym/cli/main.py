@@ -11,6 +11,7 @@ from typing import Protocol
 
 from aerial_gym import __version__
 from aerial_gym.cli import process
+from aerial_gym.config.console import accept_any_console
 from aerial_gym.errors import AerialGymError, StorageError, TrainingError
 from aerial_gym.lazy import Home
 
@@ -87,6 +88,7 @@ def _is_read() -> bool:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
+    accept_any_console()
     try:
         command = _parse(sys.argv[1:] if argv is None else argv)
         status = command if isinstance(command, int) else command.run()

@@ -55,7 +55,7 @@ class RenderGalleryCmd:
         page = jinja2.Environment(loader=templates, autoescape=True).get_template("gallery.html.j2")
         self.out.mkdir(parents=True, exist_ok=True)
         path = self.out / "index.html"
-        path.write_text(page.render(sections=sections), encoding="utf-8")
+        path.write_text(page.render(sections=sections), encoding="utf-8", errors="surrogateescape")
         print(path)
         return 0
 

@@ -1,6 +1,5 @@
 """``aerial-gym replay``: the declared model against flights, nothing fitted."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from aerial_gym.cli.progress import progress_bar
+from aerial_gym.config.console import json_line
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +54,7 @@ class ReplayCmd:
                 progress=progress,
             )
         if self.json:
-            print(json.dumps(result.as_mapping(), ensure_ascii=False))
+            print(json_line(result.as_mapping()))
             return 0
         console = Console(markup=False)
         table = Table(title="measured minus predicted (rms, 95 % interval)", box=None, pad_edge=False)

@@ -1,6 +1,5 @@
 """``aerial-gym watch``: failures of a flight from its log as it is written."""
 
-import json
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -8,6 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
+
+from aerial_gym.config.console import json_line
 
 if TYPE_CHECKING:
     from aerial_gym.config.robot import RobotCfg
@@ -68,7 +69,7 @@ class WatchCmd:
         try:
             for alarm in _alarms(watch, header, numbered, self.log):
                 named += alarm.stage == NAMED
-                print(json.dumps(alarm.as_mapping(), ensure_ascii=False) if self.json else alarm.sentence, flush=True)
+                print(json_line(alarm.as_mapping()) if self.json else alarm.sentence, flush=True)
         except KeyboardInterrupt:
             if not self.follow:
                 raise

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from aerial_gym.compat.script import run_script
+from aerial_gym.config.console import accept_any_console
 
 
 def main(argv: Sequence[str]) -> int:
@@ -17,4 +18,5 @@ def main(argv: Sequence[str]) -> int:
 
 
 if __name__ == "__main__":
+    accept_any_console()
     sys.exit(main(sys.argv[1:]))

@@ -28,7 +28,7 @@ def write_whole(path: str | Path, content: bytes | str) -> None:
     """
     path = Path(path)
     partial = path.with_name(f".{path.name}.partial")
-    data = content.encode("utf-8") if isinstance(content, str) else content
+    data = content.encode("utf-8", "surrogateescape") if isinstance(content, str) else content
     with told_storage(path):
         try:
             with partial.open("wb") as file:

@@ -135,7 +135,7 @@ def compiled(file: Path, driver: str) -> ctypes.CDLL:
             "-o",
             str(library),
         ]
-        done = subprocess.run([*command, "-lm"], capture_output=True, text=True, check=False)
+        done = subprocess.run([*command, "-lm"], capture_output=True, encoding="utf-8", errors="replace", check=False)
         if done.returncode:
             raise CapabilityError(f"{file}: does not compile: {done.stderr.strip()[:500]}")
         return ctypes.CDLL(str(library))

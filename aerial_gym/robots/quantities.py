@@ -11,6 +11,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from aerial_gym.config.console import accept_any_console
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.physics import Vehicle
 
@@ -174,4 +175,5 @@ def table() -> str:
 
 
 if __name__ == "__main__":
+    accept_any_console()
     print(table())

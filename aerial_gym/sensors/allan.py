@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from aerial_gym.config.console import accept_any_console
 from aerial_gym.config.imu import ImuCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import AerialGymError, ShapeError
@@ -140,5 +141,7 @@ class AllanCmd:
 
 if __name__ == "__main__":
     import tyro
+
+    accept_any_console()
 
     sys.exit(tyro.cli(AllanCmd).run())

@@ -116,7 +116,7 @@ def close_loop(
         }
         with whole_folder(Path(out_dir)) as folder:
             write_json(folder / "verdict.json", verdict.as_mapping())
-            (folder / "robot.yaml").write_text(dump_yaml(corrected), encoding="utf-8")
+            (folder / "robot.yaml").write_text(dump_yaml(corrected), encoding="utf-8", errors="surrogateescape")
             write_report(folder, judged)
             write_record(folder, config, inputs.digests)
     progress("done", 1.0)

@@ -26,4 +26,4 @@ def fields_of(found: object, *names: str) -> dict[str, object]:
 def write_json(path: Path, content: Mapping[str, object]) -> None:
     """Write a file of JSON for programs and people; numbers that are none are refused."""
     text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-    path.write_text(text + "\n", encoding="utf-8")
+    path.write_text(text + "\n", encoding="utf-8", errors="surrogateescape")

@@ -159,4 +159,4 @@ def _write(folder: Path, result: Replay) -> None:
         "shown_notes": SHOWN_NOTES,
         "no_rollouts": missing_for_rollouts(result.flights),
     }
-    (folder / "report.html").write_text(render("replay.html", context), encoding="utf-8")
+    (folder / "report.html").write_text(render("replay.html", context), encoding="utf-8", errors="surrogateescape")

@@ -63,7 +63,7 @@ def compiled_size(kernel: wp.Kernel, *, arch: int) -> KernelSize:
         (binary,) = wp.compile_aot_module(kernel.module, arch=arch, module_dir=folder, use_ptx=False)
         (ptx,) = wp.compile_aot_module(kernel.module, arch=arch, module_dir=folder, use_ptx=True)
         found = object_size(Path(binary).read_bytes())
-        return KernelSize(**found, operations=count_operations(Path(ptx).read_text()))
+        return KernelSize(**found, operations=count_operations(Path(ptx).read_text(encoding="utf-8")))
 
 
 def object_size(binary: bytes) -> dict[str, int]:

@@ -16,7 +16,7 @@ HIDDEN = {"com_offset": {"x": 0.012, "y": -0.008}, "weak_motor": {"motor": 4.0, 
 
 def declared_vehicle(robot: Path) -> Vehicle:
     """Return the plant's numbers of a robot file with a square thrust map, one lag and no drag."""
-    document = yaml.safe_load(robot.read_text())
+    document = yaml.safe_load(robot.read_text(encoding="utf-8"))
     body, rotor, layout = document["body"], document["rotor"], document["mounts"]["layout"]
     *lower, coeff = rotor["thrust_map"]
     if any(lower) or document.get("effects"):

@@ -98,7 +98,7 @@ def robot_document(vehicle: Vehicle, *, radius: bool = False) -> dict[str, objec
 def write_robot(path: Path, vehicle: Vehicle, *, radius: bool = False) -> None:
     """Write the declared robot as YAML, with the radius of its propellers if asked."""
     document = robot_document(vehicle, radius=radius)
-    path.write_text(yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120))
+    path.write_text(yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
 
 
 def vehicle_document(vehicle: Vehicle) -> dict[str, object]:

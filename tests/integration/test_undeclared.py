@@ -44,7 +44,9 @@ def run_case(folder: Path, effects: dict[str, Any], seed: int, **flights: Any) -
     files = make_case(folder / "case", effects=effects, seed=seed, **(SHORT | flights))
     close_loop(files.robot, files.train, files.test, folder / "out")
     check_effects(robot_by_name(folder / "out" / "robot.yaml"))
-    return json.loads((folder / "out" / "verdict.json").read_text()), json.loads(Path(files.truth).read_text())
+    return json.loads((folder / "out" / "verdict.json").read_text()), json.loads(
+        Path(files.truth).read_text(encoding="utf-8")
+    )
 
 
 @pytest.mark.parametrize("effect", [*EFFECTS, *slow(MORE_EFFECTS)])

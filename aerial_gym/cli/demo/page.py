@@ -13,5 +13,7 @@ def write_page(path: Path, **content: Any) -> Path:
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, undefined=jinja2.StrictUndefined
     )
-    path.write_text(environment.get_template("demo.html.j2").render(**content), encoding="utf-8")
+    path.write_text(
+        environment.get_template("demo.html.j2").render(**content), encoding="utf-8", errors="surrogateescape"
+    )
     return path

@@ -132,7 +132,12 @@ def _make_flights(folder: Path, seed: int) -> Flights:
         raise DataError("no measured flights and no benchmarks/undeclared beside the package: give --flights FOLDER")
     command = [sys.executable, "-m", "benchmarks.undeclared", "--out", str(folder), "--seed", str(seed)]
     done = subprocess.run(
-        [*command, "--effect", "com_offset", "--nuisance"], cwd=root, capture_output=True, text=True, check=False
+        [*command, "--effect", "com_offset", "--nuisance"],
+        cwd=root,
+        capture_output=True,
+        encoding="utf-8",
+        errors="replace",
+        check=False,
     )
     if done.returncode != 0:
         raise DataError(f"the undeclared plant failed: {done.stderr.strip()}")

@@ -173,7 +173,7 @@ class RunFolder:
     @contextlib.contextmanager
     def captured_output(self) -> Iterator[None]:
         """Send what Python code prints or logs inside to ``log.txt``."""
-        with self.log_file.open("a", encoding="utf-8", buffering=1) as log:
+        with self.log_file.open("a", encoding="utf-8", errors="surrogateescape", buffering=1) as log:
             handler = logging.StreamHandler(log)
             root = logging.getLogger()
             root.addHandler(handler)

@@ -155,7 +155,7 @@ def write_evidence(path: Path, found: Mapping[str, Sequence[Clue]]) -> None:
                 (effect, clue.parameter, clue.fitted, cloud.channel.name, cloud.alone, cloud.std, share)
                 for cloud, share in clue.telling
             ]
-    pd.DataFrame(rows, columns=columns).to_csv(path, index=False, float_format="%.6g")
+    pd.DataFrame(rows, columns=columns).to_csv(path, index=False, float_format="%.6g", errors="surrogateescape")
 
 
 def _draw(panel: Panel, clue: Clue) -> None:

@@ -123,4 +123,4 @@ def write_profiles(path: Path, found: list[Profile], channels: tuple[Channel, ..
                 name = LABELS[model]
                 columns |= {name: means.mean[:, place], f"{name}_std_error": means.std_error[:, place]}
             tables.append(pd.DataFrame(columns))
-    pd.concat(tables[1:] or tables).to_csv(path, index=False, float_format="%.6g")
+    pd.concat(tables[1:] or tables).to_csv(path, index=False, float_format="%.6g", errors="surrogateescape")

@@ -46,7 +46,7 @@ def write_report(folder: Path, judged: Judged) -> None:
     told = clues_of(judged)
     context = report_context(judged, told, found)
     for name in ("report.html", "report.md"):
-        (folder / name).write_text(render(name, context), encoding="utf-8")
+        (folder / name).write_text(render(name, context), encoding="utf-8", errors="surrogateescape")
     write_evidence(folder / "evidence.csv", told)
     write_profiles(folder / "profiles.csv", found, test.channels)
     write_residuals(folder / "residuals.csv", {"train": judged.declared.train, "test": test}, models)
@@ -109,7 +109,7 @@ def write_residuals(path: Path, predictors: dict[str, Predictor], models: Mappin
     The declared model is called before, the corrected one after.
     """
     kinds = ("measured", *(LABELS[model] for model in models))
-    with path.open("w", encoding="utf-8", newline="") as file:
+    with path.open("w", encoding="utf-8", errors="surrogateescape", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
         channels = next(iter(predictors.values())).channels
         names = [f"{channel.kind}_{channel.axis}_{kind}" for channel in channels for kind in kinds]

@@ -59,10 +59,10 @@ def write_study(out_dir: Path, study: Study, config: dict[str, object], inputs: 
     with whole_folder(out_dir) as folder:
         for name, figure in study.figures.items():
             figure.savefig(folder / f"{name}.png", dpi=90, bbox_inches="tight")
-        (folder / "report.md").write_text(study.markdown(), encoding="utf-8")
+        (folder / "report.md").write_text(study.markdown(), encoding="utf-8", errors="surrogateescape")
         write_json(folder / "result.json", study.mapping)
         for name, text in study.files.items():
-            (folder / name).write_text(text, encoding="utf-8")
+            (folder / name).write_text(text, encoding="utf-8", errors="surrogateescape")
         write_record(folder, config, file_digests(inputs))
 
 

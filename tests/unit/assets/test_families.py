@@ -318,7 +318,7 @@ def test_an_environment_file_can_hold_a_urdf(lamp: Path) -> None:
 )
 def test_bad_urdf_files_are_refused_by_name(lamp: Path, old: str, new: str, message: str) -> None:
     pytest.importorskip("yourdfpy")
-    lamp.write_text(URDF.replace(old, new))
+    lamp.write_text(URDF.replace(old, new), encoding="utf-8")
     with pytest.raises(ConfigError, match=message):
         load_urdf(lamp)
 
@@ -329,7 +329,7 @@ def test_missing_files_and_links_are_refused_by_name(lamp: Path) -> None:
         load_urdf(lamp.parent / "none.urdf")
     with pytest.raises(ConfigError, match=r"there is no link 'head'. Known: base, pole, bulb, shade"):
         load_urdf(lamp, link_ids={"head": 1})
-    lamp.write_text('<robot name="empty"><link name="base"/></robot>')
+    lamp.write_text('<robot name="empty"><link name="base"/></robot>', encoding="utf-8")
     with pytest.raises(ConfigError, match=r"URDF .*lamp.urdf: holds no geometry"):
         load_urdf(lamp)
     with pytest.raises(ConfigError, match=r"only a urdf has"):
@@ -347,7 +347,7 @@ def test_a_urdf_without_yourdfpy_names_the_extra(lamp: Path, monkeypatch: pytest
 def test_a_mesh_of_a_package_stays_in_the_asset_folder(lamp: Path) -> None:
     """Beside the URDF and in its package it is found; through ``..`` or a link that leads out it is refused."""
     pytest.importorskip("yourdfpy")
-    text, mesh = lamp.read_text(), lamp.parent / "shade.stl"
+    text, mesh = lamp.read_text(encoding="utf-8"), lamp.parent / "shade.stl"
     package = lamp.parent / "lamps" / "urdf"
     (package.parent / "meshes").mkdir(parents=True)
     package.mkdir()

@@ -13,7 +13,7 @@ RESIDENT = Path("/proc/self/statm")
 
 def resident() -> int:
     """Return the memory of this process that is there, in pages."""
-    return int(RESIDENT.read_text().split()[1])
+    return int(RESIDENT.read_text(encoding="utf-8").split()[1])
 
 
 @pytest.mark.skipif(

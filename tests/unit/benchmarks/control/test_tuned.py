@@ -59,7 +59,7 @@ def test_what_was_identified_of_flights_is_tuned_and_flies_as_asked(tmp_path: Pa
     close_loop(files.robot, files.train, files.test, tmp_path / "out")
     asked = Asked(attitude=0.5 * 2.0 * pi, position=0.08 * 2.0 * pi, damping=0.7)
     made = tuned(robot_by_name(tmp_path / "out" / "robot.yaml"), asked, num_envs=3, dt=0.01)
-    truth = json.loads(Path(files.truth).read_text())["effects"]
+    truth = json.loads(Path(files.truth).read_text(encoding="utf-8"))["effects"]
     plant = tuned(
         replace(robot_by_name(files.robot), effects=truth, effects_source="the plant"), asked, num_envs=3, dt=0.01
     )

@@ -25,7 +25,7 @@ def followed(path: Path, monkeypatch: pytest.MonkeyPatch, *writes: Callable[[], 
 
 
 def append(path: Path, text: str) -> Callable[[], object]:
-    return lambda: path.open("a").write(text)
+    return lambda: path.open("a", encoding="utf-8").write(text)
 
 
 @pytest.mark.parametrize("way", ["truncated", "longer", "replaced", "rotated", "removed"])

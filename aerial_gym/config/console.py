@@ -1,0 +1,43 @@
+"""Text for consoles of any encoding: what one cannot show is written in plain letters."""
+
+import codecs
+import json
+import sys
+import unicodedata
+
+PLAIN = "aerial_gym.plain"
+"""Name of the error handler for characters that an encoding lacks."""
+
+SIGNS = {
+    "→": "->", "←": "<-", "±": "+-", "×": "x", "·": "*", "−": "-", "–": "-", "—": "-", "≤": "<=", "≥": ">=", "≈": "~",
+    "°": "deg", "µ": "u", "μ": "u", "∞": "inf", "∫": "int ", "Ω": "Ohm", "‘": "'", "’": "'", "“": '"', "”": '"',
+}  # fmt: skip
+"""Plain letters for signs that Unicode does not take apart."""
+
+
+def plain_letters(error: UnicodeError) -> tuple[str, int]:
+    """Return plain letters for what could not be encoded, and where to go on: an error handler of ``codecs``."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    missing = error.object[error.start : error.end]
+    return "".join(SIGNS.get(sign) or _without_marks(sign) for sign in missing), error.end
+
+
+def _without_marks(sign: str) -> str:
+    """Return the ASCII letters of a character, ``?`` if it has none."""
+    return unicodedata.normalize("NFKD", sign).encode("ascii", "ignore").decode("ascii") or "?"
+
+
+def accept_any_console() -> None:
+    """Let stdout and stderr write plain letters for what their encoding lacks, in place of an exception."""
+    codecs.register_error(PLAIN, plain_letters)
+    for stream in (sys.stdout, sys.stderr):
+        reconfigure = getattr(stream, "reconfigure", None)
+        if reconfigure is not None:
+            reconfigure(errors=PLAIN)
+
+
+def json_line(content: object, *, indent: int | None = None, allow_nan: bool = True) -> str:
+    """Return JSON for stdout: characters that its encoding may lack are escaped, so that nothing is lost."""
+    encoding = codecs.lookup(getattr(sys.stdout, "encoding", None) or "utf-8").name
+    return json.dumps(content, ensure_ascii=not encoding.startswith("utf"), indent=indent, allow_nan=allow_nan)
