@@ -24,6 +24,9 @@ KINDS = {
 }
 """Registries by what they hold. None of them imports torch or Warp to say what it has."""
 
+UNREGISTERED = {"effects": {"learned_residual": Home("aerial_gym.physics.effects.learned_residual:LearnedResidual")}}
+"""Entries that are no names to build from: a learned residual has the numbers of its robot file."""
+
 PARTS_OF_TASKS = {
     "observation-terms": (Home("aerial_gym.task:OBSERVATIONS"),),
     "reward-terms": (Home("aerial_gym.task:REWARDS"),),
@@ -61,7 +64,7 @@ class ListCmd:
         kinds = KINDS if self.kind is None else KINDS | PARTS_OF_TASKS
         if self.kind is not None and self.kind not in kinds:
             raise UnknownNameError(f"no kind {self.kind!r}. Known: {', '.join(kinds)}")
-        found = {kind: _summaries(homes) for kind, homes in kinds.items() if self.kind in (None, kind)}
+        found = {kind: _summaries(kind, homes) for kind, homes in kinds.items() if self.kind in (None, kind)}
         if self.json:
             print(json_line(found, indent=2))
             return 0
@@ -72,9 +75,12 @@ class ListCmd:
         return 0
 
 
-def _summaries(homes: Sequence[Home]) -> dict[str, str]:
-    """Return names and lines of registries, one after the other, without the marks of code in docstrings."""
-    return {name: line.replace("``", "") for home in homes for name, line in home.load().summaries().items()}
+def _summaries(kind: str, homes: Sequence[Home]) -> dict[str, str]:
+    """Return the names and lines of a kind, registry by registry, without the marks of code in docstrings."""
+    found = {name: line for home in homes for name, line in home.load().summaries().items()}
+    more = {name: home.summary() for name, home in UNREGISTERED.get(kind, {}).items()}
+    both = dict(sorted((found | more).items())) if more else found
+    return {name: line.replace("``", "") for name, line in both.items()}
 
 
 def _wrapped(head: str, line: str) -> str:

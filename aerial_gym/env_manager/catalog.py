@@ -8,5 +8,5 @@ from aerial_gym.registry import Registry
 
 SIMS: Registry[SimCfg] = Registry("sim")
 
-for _name in ("base_sim", "base_sim_2ms", "base_sim_4ms"):
+for _name in ("base_sim", "base_sim_headless", "base_sim_2ms", "base_sim_4ms"):
     SIMS.register_later(_name, partial(load, SimCfg, CONFIG_DIR / "sims" / f"{_name}.yaml"))

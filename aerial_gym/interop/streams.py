@@ -9,7 +9,11 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from aerial_gym.errors import StorageError
 from aerial_gym.interop.kernel_log import KernelLog
+
+CHOOSE_CACHE = "Set WARP_CACHE_PATH to a folder that can be written"
+"""Remedy where compiled kernels cannot be kept."""
 
 BLOCK_DIM = 64
 """Threads of a block on a GPU in kernels of one thread per environment: Warp's 256 leave most multiprocessors of a large GPU
@@ -22,11 +26,27 @@ def start_warp() -> None:
 
     Without a GPU, Warp's native library writes a warning about a missing driver, past Python, that nobody can act on: the
     process's stderr is closed to it meanwhile.
+
+    Raises:
+        StorageError: If Warp cannot keep compiled kernels; the message names the variable that says where.
     """
+    if not {"WARP_CACHE_PATH", "XDG_CACHE_HOME"} & os.environ.keys() and os.path.expanduser("~") == "~":
+        raise StorageError(f"this user has no home folder to keep compiled kernels in. {CHOOSE_CACHE}")
     if wp.config.log_level == wp.LOG_INFO and type(wp.get_logger()).__module__.startswith("warp."):
         wp.set_logger(KernelLog())
-    with nullcontext() if torch.cuda.is_available() else _silent_stderr():
-        wp.init()
+    try:
+        with nullcontext() if torch.cuda.is_available() else _silent_stderr():
+            wp.init()
+    except OSError as error:
+        raise StorageError(_no_cache(error.filename, error.strerror)) from None
+    cache = wp.config.kernel_cache_dir
+    if cache is not None and not os.access(cache, os.W_OK) and not os.listdir(cache):
+        raise StorageError(_no_cache(cache, "it is empty and read-only"))
+
+
+def _no_cache(folder: str | None, reason: str) -> str:
+    """Return the message on a folder that takes no compiled kernels."""
+    return f"{folder}: Warp cannot keep compiled kernels there ({reason.lower()}). {CHOOSE_CACHE}"
 
 
 @contextmanager

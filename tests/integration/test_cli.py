@@ -1,14 +1,19 @@
 """The command line: what it prints, and exit status 2 with one sentence for a wrong request."""
 
+import ast
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from aerial_gym import __version__
 from aerial_gym.cli.main import COMMANDS, main
+from aerial_gym.config import CONFIG_DIR
+from aerial_gym.env_manager import SIMS
 from aerial_gym.errors import ConfigError
+from aerial_gym.physics import EFFECTS, effects
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 
 
@@ -46,6 +51,28 @@ def test_list_as_json_holds_every_kind(capsys: pytest.CaptureFixture[str]) -> No
     )
     assert set(found["imus"]) == {"base_imu", "bmi088", "vn100"} < set(found["sensors"])
     assert found["controllers"]["no_control"] == "thrust of each rotor [N]"
+    assert "base_sim_headless" in found["sims"]
+    assert {*EFFECTS.names(), "learned_residual"} == set(found["effects"])
+
+
+def test_every_configuration_of_the_package_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    found = json.loads(run(capsys, "list", "--json")[1])
+    for kind in ("sims", "environments", "robots", "sensors", "imus", "tasks"):
+        assert {path.stem for path in (CONFIG_DIR / kind).rglob("*.yaml")} <= set(found[kind]), kind
+    for module in (Path(effects.__file__).parent).glob("*.py"):
+        classes = [n for n in ast.parse(module.read_text(encoding="utf-8")).body if isinstance(n, ast.ClassDef)]
+        names = {ast.literal_eval(v) for c in classes if (v := _value_of(c, "name")) is not None}
+        assert names <= set(found["effects"]), module
+
+
+def _value_of(body: ast.ClassDef, name: str) -> ast.expr | None:
+    """Return the value that a class body gives to a name."""
+    given = (n for n in body.body if isinstance(n, ast.Assign) and ast.unparse(n.targets[0]) == name)
+    return next((n.value for n in given), None)
+
+
+def test_sims_for_scripts_of_the_other_simulator_are_built() -> None:
+    assert SIMS.get("base_sim_headless").dt == SIMS.get("base_sim").dt
 
 
 def test_nothing_is_said_where_nobody_reads_on() -> None:

@@ -39,7 +39,7 @@ def sim_of(cls: object) -> SimCfg:
 
 
 BaseSimConfig = TABLE.class_of("BaseSimConfig", SIMS.get("base_sim"))
-BaseSimHeadlessConfig = TABLE.class_of("BaseSimHeadlessConfig", SIMS.get("base_sim"), parent=BaseSimConfig)
+BaseSimHeadlessConfig = TABLE.class_of("BaseSimHeadlessConfig", SIMS.get("base_sim_headless"), parent=BaseSimConfig)
 BaseSimNoGravityConfig = type(
     "BaseSimNoGravityConfig",
     (BaseSimConfig,),
