@@ -39,6 +39,14 @@ class LidarCfg(RangeSensorCfg):
     beam_elevations_deg: tuple[float, ...] | None = None
     """Elevation of every row [deg], H of them, within +-90, each smaller than the one before: row 0 is on top."""
 
+    beam_azimuths_deg: tuple[float, ...] | None = None
+    """What the azimuth of every row is more than that of its column [deg], H of them, within +-90; None: 0. A column is still
+    measured at one time."""
+
+    cells: bool = False
+    """True: the intervals are divided into W x H equal cells, and a ray looks at the middle of each, as zones of a
+    time-of-flight matrix do. False: the intervals hold their ends."""
+
     scan_s: float | None = None
     """Time of one revolution [s], > 0, at a constant rate: a column b away from the last one was measured
     ``scan_s b / 360 deg`` before the capture, from where the sensor was then. None: all at once.
@@ -68,6 +76,7 @@ class LidarCfg(RangeSensorCfg):
             self._check_interval()
         else:
             self._check_beams(self.beam_elevations_deg)
+        self._check_beam_azimuths()
         if self.scan_s is not None and not 0.0 < self.scan_s < inf:
             raise ConfigError(f"LidarCfg.scan_s = {self.scan_s!r}: must be > 0 and finite, or None")
         if not (isinstance(self.scan_columns, int) and 1 <= self.scan_columns <= self.width):
@@ -79,6 +88,23 @@ class LidarCfg(RangeSensorCfg):
     def full_turn(self) -> bool:
         """Whether the azimuths close a circle."""
         return self.azimuth_high_deg - self.azimuth_low_deg >= 360.0
+
+    @property
+    def column_s(self) -> float | None:
+        """Time between neighbouring columns [s]; None: all are measured at once."""
+        if self.scan_s is None:
+            return None
+        steps = self.width if self.full_turn else max(self.width - 1, 1)
+        return self.scan_s * (self.azimuth_high_deg - self.azimuth_low_deg) / 360.0 / steps
+
+    def _check_beam_azimuths(self) -> None:
+        given = self.beam_azimuths_deg
+        if given is not None and not (len(given) == self.height and all(-90.0 <= angle <= 90.0 for angle in given)):
+            raise ConfigError(
+                f"LidarCfg.beam_azimuths_deg = {given!r}: needs height = {self.height} angles within +-90 degrees"
+            )
+        if self.cells and self.beam_elevations_deg is not None:
+            raise ConfigError("LidarCfg: give cells or beam_elevations_deg, not both")
 
     def _check_interval(self) -> None:
         low, high = self.elevation_low_deg, self.elevation_high_deg

@@ -1,6 +1,6 @@
 """What a sensor file holds: one range sensor, of the class that its ``model`` names.
 
-The common part stands in ``range_sensor``, the models in ``camera`` and ``lidar``; all are importable from here.
+The common part stands in ``range_sensor``, the models in ``camera``, ``lidar`` and ``rosette``; all are importable from here.
 """
 
 from dataclasses import replace
@@ -12,6 +12,7 @@ from aerial_gym.config.imu import ImuCfg
 from aerial_gym.config.lidar import LidarCfg, RayTableCfg
 from aerial_gym.config.loader import build, read_yaml, shown
 from aerial_gym.config.range_sensor import FRAMES, KINDS, LightCfg, NoiseCfg, RangeSensorCfg
+from aerial_gym.config.rosette import PrismCfg, RosetteCfg
 from aerial_gym.errors import ConfigError
 
 __all__ = [
@@ -23,8 +24,11 @@ __all__ = [
     "LidarCfg",
     "LightCfg",
     "NoiseCfg",
+    "PrismCfg",
     "RangeSensorCfg",
     "RayTableCfg",
+    "RosetteCfg",
+    "ScannedCfg",
     "SensorCfg",
     "StereoCfg",
     "load_any_sensor",
@@ -37,9 +41,13 @@ MODELS: dict[str, type[RangeSensorCfg]] = {
     "fisheye": FisheyeCfg,
     "lidar": LidarCfg,
     "ray_table": RayTableCfg,
+    "rosette": RosetteCfg,
 }
 """Class of each ``model``."""
 
+
+ScannedCfg = LidarCfg | RosetteCfg
+"""A sensor that measures its columns one after the other, if its ``column_s`` is not None."""
 
 SensorCfg = RangeSensorCfg | ImuCfg
 """Whatever a robot can carry."""
@@ -64,6 +72,6 @@ def load_any_sensor(path: str | Path) -> SensorCfg:
         hint = f" Did you mean {near[0]!r}?" if near else ""
         raise ConfigError(f"{path}: model = {shown(model)}: must be one of {', '.join(MODELS)}, imu.{hint}")
     cfg = build(MODELS[str(model)], data, where=str(path))
-    if isinstance(cfg, RayTableCfg) and cfg.path is not None:
+    if isinstance(cfg, RayTableCfg | RosetteCfg) and cfg.path is not None:
         return replace(cfg, path=str(Path(path).resolve().parent / cfg.path))
     return cfg

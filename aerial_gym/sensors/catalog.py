@@ -27,11 +27,20 @@ for _name in (
     "os1_64",
     "os2_64",
     "os_dome_64",
+    "velodyne_vlp16",
+    "velodyne_vlp32c",
+    "velodyne_hdl32e",
+    "velodyne_hdl64e",
+    "livox_mid40",
+    "livox_mid70",
+    "livox_avia",
     "rslidar_airy",
     "coarse_dome_lidar",
     "fake_radar",
     "pmd_flexx2",
     "st_vl53l5cx",
+    "st_vl53l7cx",
+    "tof_matrix_90",
 ):
     _path = CONFIG_DIR / "sensors" / f"{_name}.yaml"
     SENSORS.register_later(_name, partial(load_sensor, _path), summary=partial(summary_in, _path))

@@ -44,7 +44,10 @@ class Outputs:
     """Whether the environment has lamps."""
 
     scan: bool
-    """Whether the columns of a turning lidar are seen from seats of their own."""
+    """Whether the columns of a scanning lidar are seen from seats of their own."""
+
+    frames: bool = False
+    """Whether every image looks along other rays."""
 
 
 @wp.struct

@@ -17,21 +17,22 @@ from torch import Tensor
 
 from aerial_gym.assets.scene import Scene
 from aerial_gym.assets.views import vector_view
-from aerial_gym.config.sensor import LidarCfg, RangeSensorCfg, StereoCfg
+from aerial_gym.config.sensor import RangeSensorCfg, RosetteCfg, ScannedCfg, StereoCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import RecordedLaunch, launch_side_by_side, on_torch_stream, split
 from aerial_gym.math.draws import random_arrays
 from aerial_gym.math.random import Randomness
 from aerial_gym.sensors.flow import Flow, make_flow, record_motion
+from aerial_gym.sensors.frames import Frames
 from aerial_gym.sensors.images import SensorImages, arrays_of, images_of
 from aerial_gym.sensors.mounts import Pose
 from aerial_gym.sensors.pixels import MISS_ID, Limits, Noise, Outputs, locate
 from aerial_gym.sensors.places import Places
 from aerial_gym.sensors.ray_kernels import Rays, make_tile_kernel, make_warp_kernel
-from aerial_gym.sensors.rays import ray_table
+from aerial_gym.sensors.rays import ray_table, rosette_rays
 from aerial_gym.sensors.scan import Scan
 from aerial_gym.sensors.shading import Light
-from aerial_gym.sensors.tiles import make_tiles
+from aerial_gym.sensors.tiles import make_tiles, stacked
 from aerial_gym.sensors.view import View, look
 
 __all__ = ["MISS_ID", "RayCaster", "SensorImages"]
@@ -70,7 +71,7 @@ class RayCaster:
             position: Body origin [m], world, (E, 3); may be strided, but for the last axis.
             attitude: Body to world, xyzw, unit, (E, 4); likewise.
             lin_vel: Velocity of the body's origin [m/s], world, (E, 3); likewise. Needed for optical flow
-                and by a lidar with a scan time.
+                and by a lidar with a scan time or a rosette.
             ang_vel: Angular velocity of the body [rad/s], body frame, (E, 3); likewise.
             random: Of the places and the noise; that of seed 0 if not given.
             number: Of the kind on its robot: two kinds are drawn apart.
@@ -92,6 +93,8 @@ class RayCaster:
         self.due = torch.ones(envs, dtype=torch.bool, device=device)
         """Environments whose images the next ``cast`` takes, bool, (E,)."""
         self._image_number = torch.zeros(envs, dtype=torch.int32, device=device)
+        frames = cfg.frames if isinstance(cfg, RosetteCfg) else 1
+        self._frames = Frames(envs, frames, device)
         mounts = (envs, cfg.count)
         pose = [
             vector_view("position", position, (envs, 3), device=device),
@@ -101,7 +104,7 @@ class RayCaster:
         ]
         twist = _twist_views(cfg, lin_vel, ang_vel, envs, device)
         self._scan: Scan | None = None
-        if isinstance(cfg, LidarCfg) and cfg.scan_s is not None:
+        if isinstance(cfg, ScannedCfg) and cfg.column_s is not None:
             self._scan = Scan(cfg, scene, pose, twist, link)
             pose = self._scan.pose
         self._groups = 1 if self._scan is None else self._scan.groups
@@ -152,11 +155,16 @@ class RayCaster:
         height, width = GPU_TILE if on_gpu else CPU_TILE
         rays = Rays()
         rays.groups = self._groups
+        if isinstance(cfg, RosetteCfg):
+            height, width = 1, height * width  # neighbours in time look the same way
+        directions = rosette_rays(cfg, device=self._device) if isinstance(cfg, RosetteCfg) else self.direction[None]
         if self._scan is None:
-            tiles = make_tiles(self.direction, height=height, width=width)
+            parts = [make_tiles(direction, height=height, width=width) for direction in directions]
         else:
-            tiles, group = self._scan.make_tiles(self.direction, height=height, width=width)
-            rays.group = wp.from_torch(group)
+            found = [self._scan.make_tiles(direction, height=height, width=width) for direction in directions]
+            parts = [tiles for tiles, _ in found]
+            rays.group = wp.from_torch(found[0][1])
+        tiles, rays.num_tiles, rays.frame = stacked(parts), parts[0].num_tiles, wp.from_torch(self._frames.number)
         rays.direction, rays.pixel = wp.from_torch(tiles.direction, dtype=wp.vec3), wp.from_torch(tiles.pixel)
         rays.middle = wp.from_torch(tiles.middle, dtype=wp.vec3)
         rays.spread = wp.from_torch(tiles.spread, dtype=wp.vec3)
@@ -167,6 +175,7 @@ class RayCaster:
             shadows=cfg.light is not None and cfg.light.shadows,
             lamps=cfg.light is not None and bool(scene.lamps),
             scan=self._scan is not None,
+            frames=self._frames.count > 1,
         )
         images, due = self._make_images(scene), wp.from_torch(self.due)
         inputs = [self._view, rays, _limits(cfg), self._make_noise(), _light(cfg, scene), self.num_sensors, due, images]
@@ -178,9 +187,9 @@ class RayCaster:
             return RecordedLaunch(kernel, dim=dim, inputs=given, device=device, block_dim=BLOCK_DIM)
 
         if on_gpu:
-            return [record(make_warp_kernel(outputs), mounts * tiles.num_tiles * 32)]
+            return [record(make_warp_kernel(outputs), mounts * rays.num_tiles * 32)]
         kernel, per_tile = make_tile_kernel(outputs, self._view.kind.shape[1]), height * width
-        chunks = split(mounts * tiles.num_tiles, torch.get_num_threads())
+        chunks = split(mounts * rays.num_tiles, torch.get_num_threads())
         return [record(kernel, count, per_tile, first) for first, count in chunks]
 
     def _make_images(self, scene: Scene) -> object:
@@ -202,6 +211,7 @@ class RayCaster:
         """Write the images of the environments that are due; launched on torch's current stream, not waited for."""
         if self.cfg.active_noise is not None:
             self._image_number.add_(self.due)
+        self._frames.move_on(self.due)
         with on_torch_stream(self.images.distance):
             for launch in self._prepare:
                 launch.launch()
@@ -210,23 +220,25 @@ class RayCaster:
     def state_tensors(self) -> dict[str, Tensor]:
         """Return what must be kept to go on, by name."""
         places = {"position": self.places.position, "attitude": self.places.attitude}
-        return {"due": self.due, "image_number": self._image_number, **places} | dict(self.images.items())
+        frame = {"frame": self._frames.number} if self._frames.count > 1 else {}
+        return {"due": self.due, "image_number": self._image_number, **frame, **places} | dict(self.images.items())
 
     def reset(self, mask: Tensor) -> None:
-        """Place the mounts of masked environments, bool (E,), anew, nominal or drawn, and count images from 0."""
+        """Place the mounts of masked environments, bool (E,), anew, nominal or drawn; count images and frames from 0."""
         self.places.reset(mask)
         self._image_number.masked_fill_(mask, 0)
+        self._frames.reset(mask)
 
 
 def _twist_views(
     cfg: RangeSensorCfg, lin_vel: Tensor | None, ang_vel: Tensor | None, envs: int, device: torch.device
 ) -> list[wp.array]:
     """Return views of the velocities that a sensor needs, none if it needs none."""
-    scan = isinstance(cfg, LidarCfg) and cfg.scan_s is not None
+    scan = isinstance(cfg, ScannedCfg) and cfg.column_s is not None
     if not (cfg.optical_flow or scan):
         return []
     if lin_vel is None or ang_vel is None:
-        name = "scan_s" if scan else "optical_flow"
+        name = ("frames" if isinstance(cfg, RosetteCfg) else "scan_s") if scan else "optical_flow"
         raise ConfigError(f"{type(cfg).__name__}.{name} needs lin_vel and ang_vel, the velocities of the body")
     velocities = {"lin_vel": lin_vel, "ang_vel": ang_vel}
     return [vector_view(name, given, (envs, 3), device=device) for name, given in velocities.items()]

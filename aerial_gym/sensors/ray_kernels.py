@@ -1,6 +1,6 @@
 """The kernels that trace the rays of a sensor in every environment, composed for the images that it has.
 
-Letters: E environments, S sensors of one kind, M = E * S mounts, T tiles, L rays of a tile, P parts.
+Letters: E environments, S sensors of one kind, M = E * S mounts, K frames, T tiles, L rays of a tile, P parts.
 """
 
 from functools import cache
@@ -16,12 +16,14 @@ from aerial_gym.sensors.view import View, ballot, entry_of, least_lane, lowest_b
 
 @wp.struct
 class Rays:
-    """The rays of a sensor in tiles of L."""
+    """The rays of a sensor in tiles of L, in K frames."""
 
-    direction: wp.array[wp.vec3]  # (T * L,) sensor frame, unit
+    direction: wp.array[wp.vec3]  # (K * T * L,) sensor frame, unit
     pixel: wp.array[wp.int32]  # (T * L,) which pixel of the image, or -1
-    middle: wp.array[wp.vec3]  # (T,) of the directions of a tile
-    spread: wp.array[wp.vec3]  # (T,) half of what they differ by
+    middle: wp.array[wp.vec3]  # (K * T,) of the directions of a tile
+    spread: wp.array[wp.vec3]  # (K * T,) half of what they differ by
+    num_tiles: wp.int32  # T
+    frame: wp.array[wp.int32]  # (E,) which of K frames an image has; empty where K is 1
     group: wp.array[wp.int32]  # (T,) group of columns of a turning lidar
     groups: wp.int32  # number of groups G; the view has a row for each of every mount
 
@@ -49,7 +51,7 @@ def make_warp_kernel(outputs: Outputs) -> wp.Kernel:
         """
         thread = wp.tid()
         lane = thread & 31
-        num_tiles = rays.middle.shape[0]
+        num_tiles = rays.num_tiles
         mount = (thread >> 5) // num_tiles
         tile = (thread >> 5) - mount * num_tiles
         env = mount // sensors
@@ -58,9 +60,12 @@ def make_warp_kernel(outputs: Outputs) -> wp.Kernel:
         seat = mount
         if wp.static(outputs.scan):
             seat = mount * rays.groups + rays.group[tile]
-        middle = rays.middle[tile]
-        spread = rays.spread[tile]
-        ray = rays.direction[tile * 32 + lane]
+        seen = tile
+        if wp.static(outputs.frames):
+            seen = rays.frame[env] * num_tiles + tile
+        middle = rays.middle[seen]
+        spread = rays.spread[seen]
+        ray = rays.direction[seen * 32 + lane]
         pixel = rays.pixel[tile * 32 + lane]
         nearest = limit_of(limits, ray)
         hit = wp.int32(-1)
@@ -148,7 +153,7 @@ def make_tile_kernel(outputs: Outputs, num_parts: int) -> wp.Kernel:
     ):
         """Trace all rays of one tile; analytic shapes come before meshes."""
         task = wp.tid() + first
-        num_tiles = rays.middle.shape[0]
+        num_tiles = rays.num_tiles
         mount = task // num_tiles
         tile = task - mount * num_tiles
         env = mount // sensors
@@ -157,12 +162,15 @@ def make_tile_kernel(outputs: Outputs, num_parts: int) -> wp.Kernel:
         seat = mount
         if wp.static(outputs.scan):
             seat = mount * rays.groups + rays.group[tile]
-        analytic = find_candidates(view, seat, rays.middle[tile], rays.spread[tile], False)
-        meshes = find_candidates(view, seat, rays.middle[tile], rays.spread[tile], True)
+        seen = tile
+        if wp.static(outputs.frames):
+            seen = rays.frame[env] * num_tiles + tile
+        analytic = find_candidates(view, seat, rays.middle[seen], rays.spread[seen], False)
+        meshes = find_candidates(view, seat, rays.middle[seen], rays.spread[seen], True)
         for i in range(per_tile):
             pixel = rays.pixel[tile * per_tile + i]
             if pixel >= 0:
-                ray = rays.direction[tile * per_tile + i]
+                ray = rays.direction[seen * per_tile + i]
                 nearest, hit = nearest_of(view, env, seat, analytic, ray, limit_of(limits, ray), -1)
                 nearest, hit = nearest_of(view, env, seat, meshes, ray, nearest, hit)
                 write_pixel(images, limits, noise, light, view, env, mount, seat, pixel, ray, nearest, hit)

@@ -5,13 +5,14 @@ Letters: H x W pixels, row 0 on top, column 0 at the left.
 """
 
 import csv
-from math import pi, radians, tan
+from collections.abc import Sequence
+from math import cos, pi, radians, sin, tan
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from aerial_gym.config.sensor import CameraCfg, FisheyeCfg, LidarCfg, RangeSensorCfg, RayTableCfg
+from aerial_gym.config.sensor import CameraCfg, FisheyeCfg, LidarCfg, PrismCfg, RangeSensorCfg, RayTableCfg, RosetteCfg
 from aerial_gym.errors import ConfigError
 
 _LEAST_COSINE = 1e-3
@@ -21,7 +22,7 @@ _HEADERS = (["x", "y", "z"], ["azimuth_deg", "elevation_deg"])
 
 
 def ray_table(cfg: RangeSensorCfg, *, device: torch.device) -> Tensor:
-    """Return the unit directions of a sensor, float32, (H, W, 3).
+    """Return the unit directions of a sensor, float32, (H, W, 3); of a rosette those of its first frame.
 
     Raises:
         ConfigError: If a file of rays cannot be read or has another number of them, or if a sensor of ``kind`` depth has
@@ -33,6 +34,8 @@ def ray_table(cfg: RangeSensorCfg, *, device: torch.device) -> Tensor:
         rays = fisheye_rays(cfg, device=device)
     elif isinstance(cfg, LidarCfg):
         rays = lidar_rays(cfg, device=device)
+    elif isinstance(cfg, RosetteCfg):
+        return rosette_rays(cfg, device=device, frames=1)[0]
     elif isinstance(cfg, RayTableCfg):
         rays = listed_rays(cfg, device=device)
     else:
@@ -77,19 +80,88 @@ def lidar_rays(cfg: LidarCfg, *, device: torch.device) -> Tensor:
     """Return unit directions of a grid of azimuths and elevations, float32, (H, W, 3).
 
     Azimuth falls from left to right, elevation from top to bottom, each by equal steps unless the beams are listed. A full
-    turn keeps half a step from both ends, an elevation interval half a step from an end at +-90 deg: no ray repeats.
+    turn keeps half a step from both ends, an elevation interval half a step from an end at +-90 deg: no ray repeats. Cells
+    keep half a step from all ends.
 
     Source: Derived: spherical coordinates, ``(cos el cos az, cos el sin az, sin el)``.
     """
-    half_open = 0.5 if cfg.full_turn else 0.0
+    half_open = 0.5 if cfg.full_turn or cfg.cells else 0.0
     azimuth = _steps(cfg.azimuth_high_deg, cfg.azimuth_low_deg, cfg.width, half_open, half_open)
     if cfg.beam_elevations_deg is not None:
         elevation = torch.tensor(cfg.beam_elevations_deg, dtype=torch.float64)
     else:
         low, high = cfg.elevation_low_deg or 0.0, cfg.elevation_high_deg or 0.0
-        elevation = _steps(high, low, cfg.height, 0.5 * (high == 90.0), 0.5 * (low == -90.0))
+        open_high, open_low = 0.5 * (high == 90.0 or cfg.cells), 0.5 * (low == -90.0 or cfg.cells)
+        elevation = _steps(high, low, cfg.height, open_high, open_low)
     rows, columns = torch.meshgrid(elevation, azimuth, indexing="ij")
+    if cfg.beam_azimuths_deg is not None:
+        columns = columns + torch.tensor(cfg.beam_azimuths_deg, dtype=torch.float64).unsqueeze(-1)
     return _finish(_from_angles(columns, rows), device)
+
+
+def rosette_rays(cfg: RosetteCfg, *, device: torch.device, frames: int | None = None) -> Tensor:
+    """Return the unit directions of the frames of a rosette, float32, (K, H, W, 3); K is ``frames``, or all of them.
+
+    Raises:
+        ConfigError: If a file of rays does not fit, or if a beam is reflected inside a prism.
+    """
+    count = cfg.frames if frames is None else frames
+    if cfg.path is not None:
+        listed = read_rays(cfg.path)
+        if len(listed) < cfg.frames * cfg.width * cfg.height:
+            raise ConfigError(
+                f"{cfg.path} has {len(listed)} rays, expected at least frames * width * height = "
+                f"{cfg.frames * cfg.width * cfg.height}"
+            )
+        rays = listed[: count * cfg.width * cfg.height].view(count, cfg.width, cfg.height, 3).transpose(1, 2)
+        return _finish(rays, device)
+    time = (torch.arange(count * cfg.width, dtype=torch.float64) + 1.0) * cfg.column_s
+    azimuth, elevation = torch.tensor(cfg.lasers_deg, dtype=torch.float64).unbind(-1)
+    lasers = _from_angles(azimuth, elevation)
+    rows = [through_prisms(cfg.prisms, time, laser) for laser in lasers]
+    return _finish(torch.stack(rows).view(cfg.height, count, cfg.width, 3).transpose(0, 1), device)
+
+
+def through_prisms(prisms: Sequence[PrismCfg], time: Tensor, beam: Tensor) -> Tensor:
+    """Return the direction of a beam behind turning prisms, unit, float64, (T, 3).
+
+    At time 0 the thick ends of all wedges with an inclined entry point along +y, those with an inclined exit along -y.
+
+    Args:
+        prisms: In the order of the beam.
+        time: When [s], float64, (T,).
+        beam: Direction before the prisms, unit, (3,).
+
+    Raises:
+        ConfigError: If a beam is reflected inside a prism.
+
+    Source:
+        Li, Liu, Sun (2017), Forward and inverse solutions for three-element Risley prism beam scanners, Optics Express 25:
+        Snell's law in vector form at every face.
+    """
+    ray = beam.expand(len(time), 3)
+    flat = torch.tensor([-1.0, 0.0, 0.0], dtype=torch.float64).expand(len(time), 3)
+    for prism in prisms:
+        wedge, turn = radians(prism.wedge_deg), 2.0 * pi * prism.turns_hz * time
+        across = sin(wedge) * (1.0 if prism.inclined_face == "entry" else -1.0)
+        level = torch.full_like(turn, -cos(wedge))
+        inclined = torch.stack((level, across * torch.cos(turn), across * torch.sin(turn)), dim=-1)
+        faces = (inclined, flat) if prism.inclined_face == "entry" else (flat, inclined)
+        ray = _refracted(ray, faces[0], 1.0 / prism.refractive_index)
+        ray = _refracted(ray, faces[1], prism.refractive_index)
+    if not bool(ray.isfinite().all()):
+        raise ConfigError("RosetteCfg.prisms: a beam is reflected inside a prism. Make a wedge_deg smaller")
+    return ray
+
+
+def _refracted(ray: Tensor, normal: Tensor, ratio: float) -> Tensor:
+    """Return rays (T, 3) behind a face with a normal towards them (T, 3); ``ratio`` is the index before over that behind.
+
+    NaN where the ray is reflected.
+    """
+    cosine = -(ray * normal).sum(-1, keepdim=True)
+    behind = (1.0 - ratio**2 * (1.0 - cosine.square())).sqrt()
+    return ratio * ray + (ratio * cosine - behind) * normal
 
 
 def listed_rays(cfg: RayTableCfg, *, device: torch.device) -> Tensor:

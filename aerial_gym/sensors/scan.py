@@ -1,4 +1,4 @@
-"""Motion distortion: a turning lidar measures its columns one after the other, while robot and obstacles move.
+"""Motion distortion: a scanning lidar measures its columns one after the other, while robot and obstacles move.
 
 Columns that are measured at once are a group, and each group sees the scene from a seat of its own: where the sensor was
 then. The image is complete at the instant of capture; robot and obstacles came there with the twists that they have then: their
@@ -15,7 +15,7 @@ import warp as wp
 
 from aerial_gym.assets.scene import Scene
 from aerial_gym.assets.scene_arrays import BODY, WORLD, SceneArrays
-from aerial_gym.config.sensor import LidarCfg
+from aerial_gym.config.sensor import ScannedCfg
 from aerial_gym.interop import RecordedLaunch
 from aerial_gym.sensors.flow import instance_twists, link_twists
 from aerial_gym.sensors.tiles import Tiles, make_tiles
@@ -140,11 +140,11 @@ def look_back(
 class Scan:
     """The seats of a turning lidar, and the launches that place them and look from them."""
 
-    def __init__(self, cfg: LidarCfg, scene: Scene, pose: list[wp.array], twist: list[wp.array], link: int) -> None:
+    def __init__(self, cfg: ScannedCfg, scene: Scene, pose: list[wp.array], twist: list[wp.array], link: int) -> None:
         """Take what the seats depend on.
 
         Args:
-            cfg: A lidar with a scan time.
+            cfg: A sensor that measures its columns one after the other.
             scene: What it sees; instances move with the velocities in its ``asset_state``.
             pose: Body position and attitude, mount position and attitude.
             twist: Velocity of the body's origin, world, and angular velocity, body frame.
@@ -187,12 +187,9 @@ class Scan:
         return tiles, (column * narrow // self._cfg.scan_columns).int()
 
 
-def group_ages(cfg: LidarCfg) -> list[float]:
-    """Return how long before the capture each group of columns was measured [s]: the middle of its columns, G numbers."""
-    assert cfg.scan_s is not None
-    span = cfg.azimuth_high_deg - cfg.azimuth_low_deg
-    steps = cfg.width if cfg.full_turn else max(cfg.width - 1, 1)
-    per_column = cfg.scan_s * span / 360.0 / steps
+def group_ages(cfg: ScannedCfg) -> list[float]:
+    """Return the age of each group of columns at the capture [s], that of the middle of its columns, G numbers."""
+    assert cfg.column_s is not None
     firsts = range(0, cfg.width, cfg.scan_columns)
     middles = [0.5 * (first + min(first + cfg.scan_columns, cfg.width) - 1) for first in firsts]
-    return [per_column * (cfg.width - 1 - middle if cfg.scan_clockwise else middle) for middle in middles]
+    return [cfg.column_s * (cfg.width - 1 - middle if cfg.scan_clockwise else middle) for middle in middles]

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from aerial_gym.assets import Scene
 from aerial_gym.assets.views import check_tensor
-from aerial_gym.config.sensor import RangeSensorCfg
+from aerial_gym.config.sensor import RangeSensorCfg, RosetteCfg
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary
@@ -105,6 +105,11 @@ class SensorManager:
         for field in ("rate_hz", "latency_s"):
             if getattr(cfg, field) and self._dt is None:
                 raise ConfigError(f"sensor {name}: {field} = {getattr(cfg, field)!r} needs the length of a step")
+        if isinstance(cfg, RosetteCfg) and (cfg.rate_hz or 0.0) * (self._dt or 0.0) > 1.0 + CLOCK_MARGIN:
+            raise ConfigError(
+                f"sensor {name}: rate_hz = {cfg.rate_hz!r}: must be at most {1.0 / (self._dt or 1.0):g}, one frame a step, so "
+                "that its scan keeps time. Make steps shorter, or frames longer (more columns)"
+            )
 
     def capture(self, mask: Tensor | None = None) -> None:
         """Take the images that are due from the present poses; launched on torch's current stream, not waited for.

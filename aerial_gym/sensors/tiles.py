@@ -3,6 +3,7 @@
 Frame: the sensor's own. Letters: H x W = N pixels, T tiles, L rays of a tile.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -20,7 +21,7 @@ class Tiles:
     """Unit directions, (T * L, 3)."""
 
     pixel: Tensor
-    """Which pixel a ray is, -1 for a copy, int32, (T * L,)."""
+    """Which pixel a ray is, -1 for a copy, int32, (T * L,), in every frame."""
 
     middle: Tensor
     """Middle of the directions of a tile, (T, 3)."""
@@ -56,3 +57,9 @@ def make_tiles(direction: Tensor, *, height: int, width: int) -> Tiles:
         middle=0.5 * (low + high),
         spread=0.5 * (high - low) * (1.0 + _MARGIN) + _MARGIN,
     )
+
+
+def stacked(frames: Sequence[Tiles]) -> Tiles:
+    """Return the tiles of several frames, one frame behind the other; all have the pixels of the first."""
+    parts = {name: torch.cat([getattr(tiles, name) for tiles in frames]) for name in ("direction", "middle", "spread")}
+    return Tiles(pixel=frames[0].pixel, **parts)

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from aerial_gym.config.sensor import CameraCfg, FisheyeCfg, LidarCfg, RangeSensorCfg, RayTableCfg, StereoCfg
+from aerial_gym.config.sensor import CameraCfg, FisheyeCfg, LidarCfg, RangeSensorCfg, RayTableCfg, RosetteCfg, StereoCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.sensors import SENSORS, pinhole_rays, ray_table
 
@@ -304,8 +304,10 @@ def test_depth_is_allowed_for_a_narrow_fisheye() -> None:
 @pytest.mark.parametrize("name", SENSORS.names())
 def test_every_shipped_sensor_covers_its_field_of_view_and_repeats_no_ray(name: str) -> None:
     """Cameras: the outermost column lies at (W - 1) / W of the tangent of half the field of view; lidars: at their limits,
-    or half a step inside where the limits meet."""
+    or half a step inside where the limits meet, or of cells; rosettes have tests of their own."""
     cfg = SENSORS.get(name)
+    if isinstance(cfg, RosetteCfg):
+        return
     rays = table(cfg)
     assert least_angle(rays) > 1e-5
     azimuth, elevation = angles_deg(rays)
@@ -317,14 +319,21 @@ def test_every_shipped_sensor_covers_its_field_of_view_and_repeats_no_ray(name: 
         np.testing.assert_allclose(rays[-1, -1, 1:] / rays[-1, -1, 0], -edge * ratio, rtol=1e-6)
         return
     assert isinstance(cfg, LidarCfg)
-    assert cfg.elevation_low_deg is not None
-    assert cfg.elevation_high_deg is not None
-    across = 180.0 / cfg.width if cfg.full_turn else 0.0
-    pole = 45.0 / (cfg.height - 0.5) if cfg.elevation_high_deg == 90.0 else 0.0
-    assert azimuth[cfg.height // 2, 0] == pytest.approx(cfg.azimuth_high_deg - across, abs=1e-4)
-    assert azimuth[cfg.height // 2, -1] == pytest.approx(cfg.azimuth_low_deg + across, abs=1e-4)
-    assert elevation[0].min() == pytest.approx(cfg.elevation_high_deg - pole, abs=1e-4)
-    assert elevation[-1].max() == pytest.approx(cfg.elevation_low_deg, abs=1e-4)
+    beams = cfg.beam_elevations_deg or (cfg.elevation_high_deg, cfg.elevation_low_deg)
+    high, low = beams[0], beams[-1]
+    assert high is not None
+    assert low is not None
+    across = 0.5 * (cfg.azimuth_high_deg - cfg.azimuth_low_deg) / cfg.width if cfg.full_turn or cfg.cells else 0.0
+    cell = 0.5 * (high - low) / cfg.height if cfg.cells else 0.0
+    pole = 45.0 / (cfg.height - 0.5) if high == 90.0 else cell
+    offset = 0.0 if cfg.beam_azimuths_deg is None else cfg.beam_azimuths_deg[cfg.height // 2]
+    turn = (
+        azimuth[cfg.height // 2, [0, -1]]
+        - [cfg.azimuth_high_deg - across + offset, cfg.azimuth_low_deg + across + offset]
+    ) % 360.0
+    np.testing.assert_allclose(np.minimum(turn, 360.0 - turn), 0.0, atol=1e-4)
+    assert elevation[0].min() == pytest.approx(high - pole, abs=1e-4)
+    assert elevation[-1].max() == pytest.approx(low + cell, abs=1e-4)
 
 
 def test_an_unknown_class_of_sensor_is_refused() -> None:

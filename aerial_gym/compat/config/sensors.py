@@ -200,7 +200,7 @@ CLASSES: dict[str, type] = {
         ("RSLidar_Airy_Config", "rslidar_airy"),
         ("FakeRadarConfig", "fake_radar"),
         ("PMDFlexx2Config", "pmd_flexx2"),
-        ("ST_VL53L5CX_Config", "st_vl53l5cx"),
+        ("ST_VL53L5CX_Config", "tof_matrix_90"),
     )
 }
 """Classes by the name of our sensor for which they stand."""

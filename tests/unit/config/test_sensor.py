@@ -14,8 +14,10 @@ from aerial_gym.config.sensor import (
     FisheyeCfg,
     LidarCfg,
     NoiseCfg,
+    PrismCfg,
     RangeSensorCfg,
     RayTableCfg,
+    RosetteCfg,
     StereoCfg,
     load_sensor,
 )
@@ -29,6 +31,12 @@ CAMERA = CameraCfg(**COMMON, hfov_deg=87.0)
 STEREO = StereoCfg(**COMMON, hfov_deg=87.0, baseline=-0.095)
 FISHEYE = FisheyeCfg(**COMMON, hfov_deg=180.0)
 LIDAR = LidarCfg(**COMMON, elevation_low_deg=-45.0, elevation_high_deg=45.0)
+ROSETTE = RosetteCfg(
+    **{**COMMON, "height": 1},
+    prisms=(PrismCfg(wedge_deg=18.0, turns_hz=-121.0, refractive_index=1.51),),
+    scan_columns=4,
+    rate_hz=10.0,
+)
 TABLE = RayTableCfg(**{**COMMON, "width": 2, "height": 1}, rays=((1.0, 0.0, 0.0), (0.0, 0.0, -2.0)))
 
 # parity.md 3.2: height, width, hfov [deg], ranges [m], segmentation, placement drawn
@@ -55,7 +63,7 @@ LIDARS = {
     "rslidar_airy": (48, 120, 180.0, (0.0, 90.0), (0.2, 10.0), False, DOME, -0.025, 0.0),
     "fake_radar": (48, 120, 60.0, (-60.0, 60.0), (0.2, 10.0), False, OS1, -0.025, 0.01),
     "pmd_flexx2": (172, 224, 28.0, (-22.0, 22.0), (0.2, 5.0), False, OS1, -0.025, 0.01),
-    "st_vl53l5cx": (8, 8, 45.0, (-45.0, 45.0), (0.2, 4.0), False, OS1, -0.025, 0.0),
+    "tof_matrix_90": (8, 8, 45.0, (-45.0, 45.0), (0.2, 4.0), False, OS1, -0.025, 0.0),
 }
 
 
@@ -69,6 +77,15 @@ def test_every_shipped_sensor_is_in_a_table_of_this_test() -> None:
         "coarse_dome_lidar",
         "base_rgb_camera",
         "base_optical_flow_camera",
+        "st_vl53l5cx",
+        "st_vl53l7cx",
+        "velodyne_vlp16",
+        "velodyne_vlp32c",
+        "velodyne_hdl32e",
+        "velodyne_hdl64e",
+        "livox_mid40",
+        "livox_mid70",
+        "livox_avia",
     }
     assert set(SENSORS.names()) == {*CAMERAS, *LIDARS, *ours}
 
@@ -111,7 +128,7 @@ def test_shipped_lidars_hold_the_values_of_parity(name: str) -> None:
     assert (cfg.noise.mean_offset, cfg.noise.dropout) == (offset, dropout)
     assert cfg.active_noise == (cfg.noise if noisy else None)
     assert cfg.points == ("world" if name in ("rslidar_airy", "fake_radar") else None)
-    assert cfg.normalize == (name not in ("rslidar_airy", "fake_radar", "st_vl53l5cx"))
+    assert cfg.normalize == (name not in ("rslidar_airy", "fake_radar", "tof_matrix_90"))
     assert cfg.kind == "range"
 
 
@@ -121,10 +138,12 @@ def test_the_airy_dome_faces_backwards() -> None:
 
 
 def test_the_coarse_dome_is_the_airy_with_fewer_rays_noise_and_no_points() -> None:
-    """None of its rays are the same: a full turn keeps half a step from both ends."""
+    """All of them at every step. None of its rays are the same: a full turn keeps half a step from both ends."""
     fine, coarse = SENSORS.get("rslidar_airy"), SENSORS.get("coarse_dome_lidar")
+    assert isinstance(fine, LidarCfg)
     told = {"summary": fine.summary, "source": fine.source}
-    assert replace(coarse, height=48, width=120, noise_enabled=False, points="world", **told) == fine
+    time = {"rate_hz": fine.rate_hz, "scan_s": fine.scan_s, "scan_columns": fine.scan_columns}
+    assert replace(coarse, height=48, width=120, noise_enabled=False, points="world", **told, **time) == fine
     rays = ray_table(coarse, device=torch.device("cpu")).reshape(-1, 3).double()
     assert rays.shape == (32 * 40, 3)
     likeness = rays @ rays.T - 2.0 * torch.eye(len(rays), dtype=torch.float64)
@@ -139,7 +158,7 @@ def test_every_sensor_survives_writing_and_reading_and_names_its_source(name: st
     assert len(cfg.source) > 20
 
 
-@pytest.mark.parametrize("cfg", [CAMERA, STEREO, FISHEYE, LIDAR, TABLE], ids=lambda c: c.model)
+@pytest.mark.parametrize("cfg", [CAMERA, STEREO, FISHEYE, LIDAR, TABLE, ROSETTE], ids=lambda c: c.model)
 def test_every_model_survives_writing_and_reading(cfg: RangeSensorCfg, tmp_path: Path) -> None:
     cfg = replace(cfg, noise=NoiseCfg(std_b=0.01), count=3, rate_hz=30.0, latency_s=0.02, points="sensor")
     (tmp_path / "sensor.yaml").write_text(dump_yaml(cfg), encoding="utf-8")
