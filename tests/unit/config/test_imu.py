@@ -16,7 +16,7 @@ NAMES = ("base_imu", "bmi088", "vn100")
 
 
 def test_shipped_imus_hold_the_values_of_aerial_gym() -> None:
-    """parity.md 3.6, and the densities of the data sheets per sqrt(Hz): VN-100 and BMI088."""
+    """parity.md 3.6; of VN-100 and BMI088 the data sheets' densities per sqrt(Hz) and full scales: 16 and 24 g, 2000 deg/s."""
     base, vn100, bmi088 = (IMUS.get(name) for name in ("base_imu", "vn100", "bmi088"))
     assert base.accel_noise_density == pytest.approx([0.001688956] * 3, rel=1e-6)
     assert base.gyro_noise_density == pytest.approx([0.001067934] * 3, rel=1e-6)
@@ -32,8 +32,10 @@ def test_shipped_imus_hold_the_values_of_aerial_gym() -> None:
     for cfg, misalignment in ((base, 0.0), (vn100, 2.0), (bmi088, 2.0)):
         assert cfg.misalignment_deg == (misalignment,) * 3
         assert cfg.accel_initial_bias == cfg.gyro_initial_bias == (1e-3,) * 3
-        assert (cfg.accel_range, cfg.gyro_range) == (100.0, 10.0)
         assert cfg.position == cfg.euler == (0.0, 0.0, 0.0)
+    assert (base.accel_range, base.gyro_range) == (100.0, 10.0)
+    assert (vn100.accel_range, vn100.gyro_range) == pytest.approx((16.0 * G, 2000.0 * PI_180), rel=1e-5)
+    assert (bmi088.accel_range, bmi088.gyro_range) == pytest.approx((24.0 * G, 2000.0 * PI_180), rel=1e-5)
 
 
 @pytest.mark.parametrize("name", NAMES)
