@@ -33,23 +33,32 @@ class ImportRobotCmd:
     joints: bool = False
     """Let revolute, continuous and prismatic joints move, but those of rotors; without it all are welded at zero."""
 
+    accept_losses: bool = False
+    """Import a vehicle although its wings, or the joints that tilt its rotors, are left out."""
+
     summary: str | None = None
     """One line for people who choose a robot."""
 
     def run(self) -> int:
-        """Import, write and say what was left out; return the exit status."""
-        from aerial_gym.config.loader import dump_yaml
+        """Import, write and say what is not used; return the exit status."""
         from aerial_gym.robots.catalog import robot_by_name
         from aerial_gym.robots.importers import RotorHints, import_robot
 
         others = None if self.rotors_of is None else robot_by_name(self.rotors_of)
-        hints = RotorHints(rotors_of=others, spins=self.spins, lag=self.lag_s, joints=self.joints)
+        hints = RotorHints(
+            rotors_of=others,
+            spins=self.spins,
+            lag=self.lag_s,
+            joints=self.joints,
+            accept_losses=self.accept_losses,
+        )
         if self.rotor_links is not None:
             hints = replace(hints, rotor_links=self.rotor_links)
         imported = import_robot(self.file, hints)
-        robot = imported.robot if self.summary is None else replace(imported.robot, summary=self.summary)
-        self.out.write_text(dump_yaml(robot), encoding="utf-8", errors="surrogateescape")
-        for note in imported.notes:
-            print(f"left out: {note}", file=sys.stderr)
+        if self.summary is not None:
+            imported = replace(imported, robot=replace(imported.robot, summary=self.summary))
+        self.out.write_text(imported.as_file(self.file.name), encoding="utf-8", errors="surrogateescape")
+        for line in imported.lines():
+            print(line, file=sys.stderr)
         print(self.out)
         return 0

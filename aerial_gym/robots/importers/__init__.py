@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 from aerial_gym.lazy import exports
 
 if TYPE_CHECKING:
-    from aerial_gym.robots.importers.importing import Imported, RotorHints, import_robot
+    from aerial_gym.robots.importers.importing import Imported, RotorHints, import_robot, read_robot
 
-__all__ = ["Imported", "RotorHints", "import_robot"]
+__all__ = ["Imported", "RotorHints", "import_robot", "read_robot"]
 
 __getattr__, __dir__ = exports(__name__, __file__)

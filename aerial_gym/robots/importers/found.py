@@ -3,7 +3,7 @@
 Frames: axes and origin of the root link, which become the body's: x forward, y left, z up. SI units.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -39,6 +39,20 @@ class FoundRotor:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Weightless:
+    """Mass whose weight the file takes away: gravity compensation of MJCF, links without gravity of SDF and URDF."""
+
+    mass: float
+    """[kg]; below 0 where the file adds weight."""
+
+    position: np.ndarray
+    """Where its weight would act [m], (3,)."""
+
+    link: str = BASE
+    """Joint whose link it is on, or the base."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Found:
     """A vehicle as a file describes it."""
 
@@ -48,9 +62,19 @@ class Found:
     joints: tuple[JointCfg, ...] = ()
     """Joints that move, if asked for."""
 
-    effects: dict[str, dict[str, float]] = field(default_factory=dict)
+    weightless: Sequence[Weightless] = ()
+
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    effects_source: str = ""
+
     notes: Sequence[str] = ()
-    """What the file holds and is not taken over, in sentences."""
+    """What the file holds and is not used, a line each."""
+
+    assumed: Sequence[str] = ()
+    """What is taken otherwise than the file has it, or is not in the file, a line each."""
+
+    losses: Sequence[str] = ()
+    """What is not used and without which the vehicle flies otherwise: wings, joints that tilt rotors. A line each."""
 
 
 def vec3(vector: Sequence[float] | np.ndarray) -> Vec3:
@@ -91,3 +115,19 @@ def numbers(text: str | None, count: int, where: str) -> list[float]:
     if len(values) != count:
         raise ConfigError(f"{where} = {text!r}: must be {count} numbers")
     return values
+
+
+def number(text: str | None, default: float, where: str) -> float:
+    """Return the number in a text, or the default where there is none."""
+    return default if text is None or not text.strip() else numbers(text, 1, where)[0]
+
+
+def tilts(rotor: FoundRotor, kind: str, axis: np.ndarray, position: np.ndarray) -> bool:
+    """Return whether a joint that carries a rotor moves the line along which it pushes.
+
+    A rotor that spins about its own axis does not: the joint's axis is that line.
+    """
+    across = np.linalg.norm(np.cross(axis, rotor.axis))
+    lever = rotor.position - position
+    beside = np.linalg.norm(lever - (lever @ rotor.axis) * rotor.axis)
+    return kind not in ("revolute", "continuous", "hinge") or bool(across > 1e-6 or beside > 1e-6)

@@ -1,12 +1,14 @@
 """A robot from a file of another simulator, which hovers, or the reason why it does not."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+from aerial_gym.config.controller import ControlCfg
 from aerial_gym.config.joint import JointsCfg
+from aerial_gym.config.loader import dump_yaml
 from aerial_gym.config.robot import BodyCfg, MountCfg, MountsCfg, RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
@@ -14,10 +16,13 @@ from aerial_gym.robots.check import check_robot
 from aerial_gym.robots.importers import mjcf, sdf, urdf
 from aerial_gym.robots.importers.found import Found, FoundRotor, vec3
 from aerial_gym.robots.importers.joints import ENDS
+from aerial_gym.robots.importers.lifted import lifted
 from aerial_gym.robots.importers.shapes import collision_of
 
 ROTOR_LINKS = r"(?!.*arm).*(motor|rotor|prop).*"
 """Names of links of a URDF without motors that are taken for rotors."""
+
+_JOINTS_HINT = ", or let its joints move with --joints"
 
 _WAY_OUT = "Give a robot that has some: --rotors-of ROBOT, rotors_of of RotorHints"
 
@@ -41,6 +46,9 @@ class RotorHints:
     joints: bool = False
     """Whether joints move (URDF and MJCF) but those of rotors; else all are welded."""
 
+    accept_losses: bool = False
+    """Whether to import a vehicle although its wings or the joints that tilt its rotors are left out."""
+
 
 @dataclass(frozen=True)
 class Imported:
@@ -48,10 +56,24 @@ class Imported:
 
     robot: RobotCfg
     notes: tuple[str, ...]
+    """What is not used, a line each, none twice."""
+
+    assumed: tuple[str, ...] = ()
+    """What is taken otherwise, or is not in the file, likewise."""
+
+    def lines(self) -> Iterator[str]:
+        """Yield what is not used and what is assumed, a line each."""
+        yield from (f"left out: {' '.join(note.split())}" for note in self.notes)
+        yield from (f"assumed: {' '.join(note.split())}" for note in self.assumed)
+
+    def as_file(self, name: str) -> str:
+        """Return the text of the robot file; its first lines say what of the file ``name`` is not in it."""
+        lines = [f"Imported from {name} by aerial-gym import-robot.", *self.lines()]
+        return "".join(f"# {line}\n" for line in lines) + dump_yaml(self.robot)
 
 
 def import_robot(path: str | Path, hints: RotorHints | None = None, *, gravity: float = STANDARD_GRAVITY) -> Imported:
-    """Return the robot in a URDF, MJCF or SDF file.
+    """Return the robot in a URDF, MJCF or SDF file, which hovers and can be steered.
 
     Joints are welded at zero unless the hints say otherwise. The frame of the root link becomes that of the body.
 
@@ -61,12 +83,32 @@ def import_robot(path: str | Path, hints: RotorHints | None = None, *, gravity: 
         gravity: Downward acceleration of free fall [m/s²] against which it must hover.
 
     Raises:
-        ConfigError: If it cannot be read, cannot be, has no rotors, or cannot be flown; the message says which, and what to do.
+        ConfigError: If it cannot be read, cannot be, has no rotors, loses wings or tilting joints, or cannot be flown; the
+            message says which, and what to do.
     """
+    imported = read_robot(path, hints, gravity=gravity)
+    where = Path(path).name
+    problems = check_robot(imported.robot, name=where, controllers=(), gravity=gravity).problems
+    if problems:
+        mass = imported.robot.body.mass
+        raise ConfigError(f"{where}: the vehicle, of {mass:.4g} kg, cannot be flown: {'; '.join(problems)}")
+    return imported
+
+
+def read_robot(path: str | Path, hints: RotorHints | None = None, *, gravity: float = STANDARD_GRAVITY) -> Imported:
+    """Return the robot in a file as ``import_robot`` does, whether it can be flown or not."""
     path, hints = Path(path), hints or RotorHints()
     kind, found = _found(path, hints)
     where = f"{kind} {path.name}"
+    if found.losses and not hints.accept_losses:
+        move = _JOINTS_HINT if kind != "SDF" and not hints.joints else ""
+        raise ConfigError(
+            f"{where}: as a multirotor it would lose {'; '.join(found.losses)}. Import it without with --accept-losses "
+            f"(accept_losses of RotorHints){move}"
+        )
     inertia = found.body.inertia
+    weight = lifted(found, gravity)
+    effects = {**found.effects, **weight.effects}
     robot = RobotCfg(
         summary=f"robot of {path.name}",
         body=BodyCfg(
@@ -77,14 +119,14 @@ def import_robot(path: str | Path, hints: RotorHints | None = None, *, gravity: 
         ),
         collision=collision_of(found.shapes, where),
         joints=_joints(found, where),
-        effects=found.effects,
-        effects_source=f"{where}: rotorDragCoefficient" if found.effects else "",
+        control=ControlCfg(buoyancy=weight.force, source=weight.source) if weight.force else ControlCfg(),
+        effects=effects,
+        effects_source="; ".join(filter(None, (found.effects_source, weight.source))),
         **_rotors(found.rotors, hints, where),
     )
-    problems = check_robot(robot, name=where, controllers=(), gravity=gravity).problems
-    if problems:
-        raise ConfigError(f"{where}: the vehicle cannot be flown: {'; '.join(problems)}")
-    return Imported(robot, tuple(found.notes))
+    return Imported(
+        robot, tuple(dict.fromkeys((*found.losses, *found.notes))), assumed=tuple(dict.fromkeys(found.assumed))
+    )
 
 
 def _joints(found: Found, where: str) -> JointsCfg | None:

@@ -1,12 +1,10 @@
 """MJCF files, read by MuJoCo itself: bodies as one, rotors from actuators that push at a site.
 
-An actuator with the gear ``(f, t)`` gives the force ``f u`` and the torque ``t u`` in the frame of its site for a control u: a
-rotor with the axis f, a thrust of ``|f| u`` and, where t is along f, the torque ratio ``|t| / |f|``. Its control range gives
-the limits.
-
-Source: MuJoCo documentation, XML reference, actuator/general (trntype site, gear, dyntype).
+MuJoCo does compiler settings, defaults and frames. Every joint is welded unless asked otherwise; a welded one that moves the
+thrust line of a rotor is a loss. Gravity compensation becomes an upward force.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,14 +13,13 @@ import numpy as np
 
 from aerial_gym.assets.urdf_body import weld
 from aerial_gym.config.joint import JointCfg
-from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionShape, RotorCfg, SphereCfg
+from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionShape, SphereCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.found import Found, FoundRotor, roll_pitch_yaw, vec3
+from aerial_gym.robots.importers.found import Found, FoundRotor, Weightless, roll_pitch_yaw, tilts, vec3
 from aerial_gym.robots.importers.joints import FoundJoint, Weight, layout_of
-
-ALONG = 1e-6
-"""Share of a torque that may be across the axis of its rotor."""
+from aerial_gym.robots.importers.mjcf_actuators import Actuator
+from aerial_gym.robots.importers.unused import by_kind
 
 
 def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = False) -> Found:
@@ -55,17 +52,41 @@ def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = 
         [reader.frame(data.xipos[b], data.ximat[b]) for b in bodies],
         [np.diag(model.body_inertia[b]) for b in bodies],
     )
-    actuators = list(range(model.nu if take_actuators else 0))
-    notes, layout = reader.notes(), ()
-    if joints:
-        reader.find_joints(bodies)
-        layout, of_joints = reader.layout(), [i for i in actuators if reader.turns_joint(i)]
-        actuators = [i for i in actuators if i not in of_joints]
-        notes = (*notes, *reader.notes_on_joints(of_joints))
-    for i in actuators:
-        reader.check(i)
-    rotors = [reader.rotor(i, lag) for i in actuators]
-    return Found(body=body, rotors=rotors, shapes=list(reader.shapes()), joints=layout, notes=notes)
+    reader.find_joints(bodies, moving=joints)
+    actuators = [Actuator(mujoco, model, i, where) for i in range(model.nu)]
+    pushing = [one for one in actuators if take_actuators and one.works and not one.turns_joint]
+    for one in pushing:
+        one.check()
+    rotors = [one.rotor(reader.site(one.site), lag, reader.carrier(model.site_bodyid[one.site])) for one in pushing]
+    delays = {one.delay for one in pushing}
+    effects = {"actuation_delay": {"delay": delays.pop()}} if len(delays) == 1 and delays != {0.0} else {}
+    notes = list(by_kind((note, one.name) for one in pushing for note in one.notes()))
+    notes += [f"delays of actuators, which differ: {sorted(delays)} s"] if len(delays) > 1 else []
+    if left := [one.name for one in actuators if one not in pushing]:
+        notes.append(
+            f"actuators: {', '.join(left)}" + (" (give their joints drives in the robot file)" if joints else "")
+        )
+    sites = [model.site_bodyid[one.site] for one in pushing]
+    return Found(
+        body=body,
+        rotors=rotors,
+        shapes=list(reader.shapes()),
+        joints=reader.layout(),
+        weightless=[
+            Weightless(
+                mass=float(model.body_gravcomp[b] * model.body_mass[b]),
+                position=reader.frame(data.xipos[b], data.ximat[b])[:3, 3],
+                link=reader.carrier(b),
+            )
+            for b in bodies
+            if model.body_gravcomp[b]
+        ],
+        effects=effects,
+        effects_source=f"{where}: delay of its actuators" if effects else "",
+        notes=(*notes, *reader.notes(moving=joints)),
+        assumed=tuple(by_kind((what, one.name) for one in pushing for what in one.assumed())),
+        losses=tuple(reader.losses(rotors, sites, moving=joints)),
+    )
 
 
 class _Reader:
@@ -77,13 +98,14 @@ class _Reader:
         self._joints: list[FoundJoint] = []
         self._on: dict[int, str] = {}
 
-    def find_joints(self, bodies: list[int]) -> None:
-        """Take hinges and slides, and which of them moves each body; a body with several is carried by the last."""
+    def find_joints(self, bodies: list[int], *, moving: bool) -> None:
+        """Take hinges and slides if they move, and which of them moves each body: the last one of a body with several."""
+        if not moving:
+            return
         m, kinds = self._model, self._mujoco.mjtJoint
         for body in bodies:  # parents come first
             at = self._on.get(int(m.body_parentid[body]), BASE)
-            first = int(m.body_jntadr[body])
-            own = [] if body == self._root else list(range(first, first + int(m.body_jntnum[body])))
+            own = self._own_joints(body)
             pose = self.frame(self._data.xipos[body], self._data.ximat[body])
             weight = Weight(mass=float(m.body_mass[body]), pose=pose, inertia=np.diag(m.body_inertia[body]))
             for j in own:
@@ -120,20 +142,8 @@ class _Reader:
         """Return the joints as a robot file has them."""
         return layout_of(self._joints)
 
-    def turns_joint(self, actuator: int) -> bool:
-        """Return whether an actuator acts on a joint."""
-        return int(self._model.actuator_trntype[actuator]) == int(self._mujoco.mjtTrn.mjTRN_JOINT)
-
-    def notes_on_joints(self, actuators: list[int]) -> tuple[str, ...]:
-        """Return what of the joints is not taken over."""
-        found = [
-            f"actuator {self._model.actuator(i).name}: give the joint a drive in the robot file" for i in actuators
-        ]
-        if np.any(self._model.dof_armature[6:] > 0.0):
-            found.append("armature of joints: add it to the inertia of their links")
-        return tuple(found)
-
-    def _carrier(self, body: int) -> str:
+    def carrier(self, body: int) -> str:
+        """Return the joint that moves a body, or the base."""
         return self._on.get(int(body), BASE)
 
     def is_part(self, body: int) -> bool:
@@ -144,72 +154,36 @@ class _Reader:
         """Return a frame of the world in that of the vehicle, (4, 4)."""
         return self._from_world @ _pose(place, turn)
 
-    def check(self, actuator: int) -> None:
-        """Raise ``ConfigError`` if an actuator is no rotor."""
-        at = self._name(actuator)
-        if self._model.actuator_trntype[actuator] != self._mujoco.mjtTrn.mjTRN_SITE:
-            raise ConfigError(f"{at}: pushes at no site, and only such actuators are rotors. {_WAY_OUT}")
-        force, torque = self._push(actuator)
-        size = float(np.linalg.norm(force))
-        if size == 0.0:
-            raise ConfigError(
-                f"{at}: gives a torque and no force, so that it stands for several rotors at once, whose places the file does "
-                f"not tell. {_WAY_OUT}"
-            )
-        across = torque - (torque @ force) * force / size**2
-        if np.linalg.norm(across) > ALONG * size:
-            raise ConfigError(f"{at}: its torque is not about the axis of its force, as that of a rotor is. {_WAY_OUT}")
-
-    def rotor(self, actuator: int, lag: float | None) -> FoundRotor:
-        """Return the rotor that an actuator is."""
-        force, torque = self._push(actuator)
-        size = float(np.linalg.norm(force))
-        along = float(torque @ force) / size
-        return FoundRotor(
-            name=self._model.actuator(actuator).name,
-            position=self._site(actuator)[:3, 3],
-            axis=force / size,
-            spin=-1 if along > 0.0 else 1,
-            rotor=self._type(actuator, size, abs(along) / size, lag),
-            link=self._carrier(self._model.site_bodyid[self._model.actuator_trnid[actuator][0]]),
-        )
-
-    def _name(self, actuator: int) -> str:
-        return f"{self._where}: actuator {self._model.actuator(actuator).name!r}"
-
-    def _site(self, actuator: int) -> np.ndarray:
-        site = int(self._model.actuator_trnid[actuator][0])
+    def site(self, site: int) -> np.ndarray:
+        """Return the frame of a site in that of the vehicle, (4, 4)."""
         return self.frame(self._data.site_xpos[site], self._data.site_xmat[site])
 
-    def _push(self, actuator: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return force and torque for a control of 1, in the frame of the vehicle, (3,) each."""
-        turn, gain = self._site(actuator)[:3, :3], float(self._model.actuator_gainprm[actuator][0])
-        force, torque = np.split(self._model.actuator_gear[actuator], 2)
-        return turn @ force * gain, turn @ torque * gain
+    def _own_joints(self, body: int) -> list[int]:
+        first = int(self._model.body_jntadr[body])
+        return [] if body == self._root else list(range(first, first + int(self._model.body_jntnum[body])))
 
-    def _type(self, actuator: int, size: float, ratio: float, lag: float | None) -> RotorCfg:
-        m, dynamics, at = self._model, self._mujoco.mjtDyn, self._name(actuator)
-        if not m.actuator_ctrllimited[actuator]:
-            raise ConfigError(f"{at}: has no ctrlrange, so that its largest thrust is unknown. Give it one")
-        kind, source = int(m.actuator_dyntype[actuator]), f"{self._where}: gear and ctrlrange"
-        if kind in (int(dynamics.mjDYN_FILTER), int(dynamics.mjDYN_FILTEREXACT)):
-            lag, source = float(m.actuator_dynprm[actuator][0]), f"{source}, dynprm"
-        elif kind != int(dynamics.mjDYN_NONE) or lag is None:
-            raise ConfigError(
-                f"{at}: its thrust follows at once, and rotors have a lag. Give one (--lag-s, lag of RotorHints), measured or "
-                "that of a similar motor: 0.02 to 0.1 s"
-            )
-        else:
-            source = f"{source}; lag of {lag:g} s: given when it was imported"
-        low, high = (size * float(limit) for limit in m.actuator_ctrlrange[actuator])
-        return RotorCfg(
-            mode="force",
-            torque_ratio=ratio,
-            time_constant_up=lag,
-            time_constant_down=lag,
-            thrust_range=(low, high),
-            source=source,
-        )
+    def losses(self, rotors: Sequence[FoundRotor], bodies: Sequence[int], *, moving: bool) -> Iterator[str]:
+        """Yield wings, and welded joints that move rotors; ``bodies`` carry the rotors, in their order."""
+        m, tilting = self._model, {}
+        hinge = int(self._mujoco.mjtJoint.mjJNT_HINGE)
+        turn, place = self._from_world[:3, :3], self._from_world[:3, 3]
+        for rotor, start in zip(rotors, bodies, strict=True):
+            body = int(start)
+            while not moving and body != self._root and body > 0:
+                for j in self._own_joints(body):
+                    kind = "hinge" if int(m.jnt_type[j]) == hinge else "other"
+                    axis, at = turn @ self._data.xaxis[j], turn @ self._data.xanchor[j] + place
+                    if tilts(rotor, kind, axis, at):
+                        tilting.setdefault(m.joint(j).name or f"joint_{j}", []).append(rotor.name)
+                body = int(m.body_parentid[body])
+        for joint, names in tilting.items():
+            yield f"joint {joint}, which moves {', '.join(names)}, is welded"
+        winged = [g for g in self._geoms() if m.geom_fluid[g][0] > 0.0]
+        if m.opt.density and winged:
+            yield f"lift of {', '.join(m.geom(g).name or f'geom_{g}' for g in winged)} (fluidshape)"
+
+    def _geoms(self) -> list[int]:
+        return [g for g in range(self._model.ngeom) if self.is_part(int(self._model.geom_bodyid[g]))]
 
     def shapes(self) -> Any:
         """Yield shapes of geoms that touch: spheres, capsules, and boxes around the others."""
@@ -219,20 +193,55 @@ class _Reader:
                 continue
             pose = self.frame(self._data.geom_xpos[geom], self._data.geom_xmat[geom])
             own = _shape(kinds, m.geom_type[geom], m.geom_size[geom], m.geom_aabb[geom], pose)
-            yield replace(own, link=self._carrier(m.geom_bodyid[geom]))
+            yield replace(own, link=self.carrier(m.geom_bodyid[geom]))
 
-    def notes(self) -> tuple[str, ...]:
-        """Return what is not taken over."""
-        m = self._model
+    def notes(self, *, moving: bool) -> Iterator[str]:
+        """Yield what is not used, a line for each kind."""
+        m, root = self._model, self._root
         if m.opt.density or m.opt.viscosity:
-            return (
-                f"the forces of a medium (density {m.opt.density:g} kg/m³, viscosity {m.opt.viscosity:g} Pa s) are left out: "
-                "give rotor_drag or quadratic_drag as effects",
+            yield (
+                f"forces of a medium (density {m.opt.density:g} kg/m³, viscosity {m.opt.viscosity:g} Pa s): give rotor_drag or "
+                "quadratic_drag as effects"
             )
-        return ()
+        free = slice(int(m.body_dofadr[root]), int(m.body_dofadr[root]) + 6)
+        for what, values in (
+            ("damping", m.dof_damping),
+            ("armature", m.dof_armature),
+            ("frictionloss", m.dof_frictionloss),
+        ):
+            if np.any(np.asarray(values)[free]):
+                yield f"{what} of the free joint: {np.max(np.asarray(values)[free]):g}"
+        own = [j for b in range(m.nbody) if self.is_part(b) for j in self._own_joints(b)]
+        if own and not moving:
+            yield f"joints that are welded: {', '.join(m.joint(j).name or f'joint_{j}' for j in own)}"
+        if moving and any(np.any(np.asarray(m.dof_armature)[int(m.jnt_dofadr[j])] > 0.0) for j in own):
+            yield "armature of joints: add it to the inertia of their links"
+        if unseen := [g for g in self._geoms() if not (m.geom_contype[g] or m.geom_conaffinity[g])]:
+            yield f"geoms that do not touch: {', '.join(m.geom(g).name or f'geom_{g}' for g in unseen)}"
+        if around := [g for g in range(m.ngeom) if g not in self._geoms()]:
+            yield f"geoms of other bodies: {', '.join(m.geom(g).name or f'geom_{g}' for g in around)}"
+        for kind, count, name in _OTHERS:
+            found = range(int(getattr(m, count)))
+            if found:
+                yield f"{kind}: {', '.join(getattr(m, name)(i).name or f'{name}_{i}' for i in found)}"
 
 
-_WAY_OUT = "Take rotors of a robot file: --rotors-of ROBOT, rotors_of of RotorHints"
+_OTHERS = (
+    ("sensors", "nsensor", "sensor"),
+    ("cameras", "ncam", "cam"),
+    ("lights", "nlight", "light"),
+    ("tendons", "ntendon", "tendon"),
+    ("equality constraints", "neq", "eq"),
+    ("contact pairs", "npair", "pair"),
+    ("contact exclusions", "nexclude", "exclude"),
+    ("plugins", "nplugin", "plugin"),
+    ("keyframes", "nkey", "key"),
+    ("custom numbers", "nnumeric", "numeric"),
+    ("custom texts", "ntext", "text"),
+    ("materials", "nmat", "mat"),
+    ("textures", "ntex", "tex"),
+)
+"""What a model holds beside bodies, joints, geoms, sites and actuators: words, the field that counts it, and the accessor."""
 
 
 def _pose(place: np.ndarray, turn: np.ndarray) -> np.ndarray:

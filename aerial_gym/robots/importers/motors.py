@@ -1,32 +1,58 @@
 """The motor model of Gazebo in SDF files, and in URDF files that are meant for Gazebo.
 
-Thrust is ``motorConstant w²`` along the axis of the joint, drag torque ``momentConstant`` times the thrust against the turning.
-The speed lags by ``timeConstantUp`` or ``timeConstantDown``. Sideways flow of velocity v gives ``-rotorDragCoefficient w v``.
+Thrust is ``motorConstant w²`` along z of the rotor's link, at its centre of mass, whichever way the axis of its joint points.
+The drag torque is ``momentConstant`` times the thrust, against ``turningDirection`` about the same z. The speed lags by
+``timeConstantUp`` or ``timeConstantDown``. Sideways flow of velocity v gives ``-rotorDragCoefficient w v``.
 
-Source: RotorS (Furrer et al., 2016), gazebo_motor_model.cpp, whose plugin PX4's models and Gazebo's own follow.
+Source: gz-sim, MulticopterMotorModel.cc, with its defaults; RotorS (Furrer et al., 2016), gazebo_motor_model.cpp, from which
+that plugin and PX4's come.
 """
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
 from aerial_gym.config.robot import RotorCfg
 from aerial_gym.errors import ConfigError
+from aerial_gym.robots.importers.found import number
+from aerial_gym.robots.importers.unused import Tags, by_kind
 
 SPINS = {"ccw": 1, "cw": -1}
-"""Of ``turningDirection``, about the axis."""
+"""Of ``turningDirection``, about z of the link."""
+
+DEFAULTS = {
+    "motorConstant": 8.54858e-06,
+    "momentConstant": 0.016,
+    "maxRotVelocity": 838.0,
+    "timeConstantUp": 1.0 / 80.0,
+    "timeConstantDown": 1.0 / 40.0,
+    "rotorDragCoefficient": 1e-4,
+    "rollingMomentCoefficient": 1e-6,
+}
+"""What the plugin takes where a file says nothing."""
+
+_NAMES = ("jointName", "linkName", "motorNumber", "turningDirection", "motorType")
+
+MOTOR_TAGS: Tags = {name: {} for name in (*_NAMES, *DEFAULTS)}
+"""Elements of a motor plugin that are read."""
+
+AERODYNAMICS = {"liftdrag": "wings or blades", "thruster": "thruster"}
+"""Plugins whose forces are left out, by a part of their names, and what gives these forces."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Motor:
-    """One motor plugin."""
+    """One motor plugin; its link and joint by their scoped names."""
 
     link: str
     joint: str
     number: int
     spin: int
     rotor: RotorCfg
+    silent: tuple[str, ...]
+    """Names of ``DEFAULTS`` for which the plugin's own value is taken."""
+
     sideways_drag: float
     """[N s²/(m rad)]."""
 
@@ -34,13 +60,33 @@ class Motor:
     """[N s²/rad]."""
 
 
-def motors_in(root: ElementTree.Element, where: str) -> list[Motor]:
-    """Return the motors of a file in the order of their numbers, which is that of commands.
+def is_motor(plugin: ElementTree.Element) -> bool:
+    """Return whether a plugin is a motor model."""
+    return "motor_model" in plugin.get("filename", "").replace("-", "_") or "MulticopterMotorModel" in plugin.get(
+        "name", ""
+    )
+
+
+def force_left_out(plugin: ElementTree.Element) -> str | None:
+    """Return what gives the force that a plugin stands for, or None: it gives none that a multirotor lacks."""
+    name = f"{plugin.get('name', '')} {plugin.get('filename', '')}".lower().replace("_", "").replace("-", "")
+    kind = next((what for part, what in AERODYNAMICS.items() if part in name), None)
+    at = plugin.findtext("link_name") or plugin.findtext("joint_name")
+    return None if kind is None else f"{kind} (plugin {plugin.get('name')}, {(at or 'no link named').strip()})"
+
+
+def motors_in(plugins: Iterable[tuple[str, ElementTree.Element]], where: str) -> list[Motor]:
+    """Return the motors among plugins in the order of their numbers, which is that of commands.
+
+    Args:
+        plugins: Each with the scope of its names, which is put before them.
+        where: Names the file in messages.
 
     Raises:
-        ConfigError: If one lacks a number, turns in no known direction, or is not a plain speed-controlled one.
+        ConfigError: If two have the same number, or one is not a plain speed-controlled motor that turns one way.
     """
-    found = sorted((_motor(plugin, where) for plugin in _plugins(root)), key=lambda motor: motor.number)
+    motors = [_motor(plugin, scope, where) for scope, plugin in plugins if is_motor(plugin)]
+    found = sorted(motors, key=lambda motor: motor.number)
     for one, other in itertools.pairwise(found):
         if one.number == other.number:
             raise ConfigError(
@@ -49,25 +95,9 @@ def motors_in(root: ElementTree.Element, where: str) -> list[Motor]:
     return found
 
 
-def _plugins(root: ElementTree.Element) -> Iterator[ElementTree.Element]:
-    for plugin in root.iter("plugin"):
-        if "motor_model" in plugin.get("filename", "") or "MulticopterMotorModel" in plugin.get("name", ""):
-            yield plugin
-
-
-def _motor(plugin: ElementTree.Element, where: str) -> Motor:
-    link = (plugin.findtext("linkName") or "").strip()
+def _motor(plugin: ElementTree.Element, scope: str, where: str) -> Motor:
+    link = scope + (plugin.findtext("linkName") or "").strip()
     at = f"{where}: motor of link {link!r}"
-
-    def number(name: str, default: float | None = None) -> float:
-        text = plugin.findtext(name)
-        if text is None and default is not None:
-            return default
-        try:
-            return float(text or "")
-        except ValueError:
-            raise ConfigError(f"{at}: {name} = {text!r}: must be a number") from None
-
     kind = (plugin.findtext("motorType") or "velocity").strip()
     turning = (plugin.findtext("turningDirection") or "").strip()
     if kind != "velocity" or turning not in SPINS:
@@ -75,27 +105,36 @@ def _motor(plugin: ElementTree.Element, where: str) -> Motor:
             f"{at}: motorType {kind!r}, turningDirection {turning!r}: only motors whose speed is commanded (velocity) and that "
             "turn one way (ccw or cw) can be imported. Write the robot file by hand (docs/rotors.md)"
         )
-    constant, fastest = number("motorConstant"), number("maxRotVelocity")
+    value = {name: number(plugin.findtext(name), default, f"{at}: {name}") for name, default in DEFAULTS.items()}
+    silent = [name for name in DEFAULTS if not (plugin.findtext(name) or "").strip()]
     rotor = RotorCfg(
-        thrust_map=(0.0, 0.0, constant),
-        torque_ratio=number("momentConstant"),
-        time_constant_up=number("timeConstantUp"),
-        time_constant_down=number("timeConstantDown"),
-        thrust_range=(0.0, constant * fastest**2),
-        source=f"{where}: motorConstant, momentConstant, timeConstantUp, timeConstantDown, maxRotVelocity {fastest:g} rad/s",
+        thrust_map=(0.0, 0.0, value["motorConstant"]),
+        torque_ratio=value["momentConstant"],
+        time_constant_up=value["timeConstantUp"],
+        time_constant_down=value["timeConstantDown"],
+        thrust_range=(0.0, value["motorConstant"] * value["maxRotVelocity"] ** 2),
+        source=f"{where}: motorConstant, momentConstant, timeConstantUp, timeConstantDown, maxRotVelocity "
+        f"{value['maxRotVelocity']:g} rad/s",
     )
     return Motor(
         link=link,
-        joint=(plugin.findtext("jointName") or "").strip(),
-        number=int(number("motorNumber", 0.0)),
+        joint=scope + (plugin.findtext("jointName") or "").strip(),
+        number=int(number(plugin.findtext("motorNumber"), 0.0, f"{at}: motorNumber")),
         spin=SPINS[turning],
         rotor=rotor,
-        sideways_drag=number("rotorDragCoefficient", 0.0),
-        rolling_moment=number("rollingMomentCoefficient", 0.0),
+        silent=tuple(silent),
+        sideways_drag=value["rotorDragCoefficient"],
+        rolling_moment=value["rollingMomentCoefficient"],
     )
 
 
-def sideways_effects(motors: list[Motor]) -> dict[str, dict[str, float]]:
+def assumed_of(motors: Sequence[Motor]) -> Iterator[str]:
+    """Yield the numbers that are the plugin's own."""
+    pairs = ((name, motor.link) for motor in motors for name in motor.silent)
+    yield from by_kind((f"{name} = {DEFAULTS[name]:g}, the plugin's own", link) for name, link in pairs)
+
+
+def sideways_effects(motors: Sequence[Motor]) -> dict[str, dict[str, float]]:
     """Return the effect of sideways flow on rotors, if all have the same coefficient."""
     drags = {motor.sideways_drag for motor in motors}
     if len(drags) != 1 or drags == {0.0}:
@@ -103,9 +142,9 @@ def sideways_effects(motors: list[Motor]) -> dict[str, dict[str, float]]:
     return {"h_force_flapping": {"kh": drags.pop(), "kf": 0.0}}
 
 
-def notes_on(motors: list[Motor]) -> Iterator[str]:
+def notes_on(motors: Sequence[Motor]) -> Iterator[str]:
     """Yield what of the motors is not taken over."""
     if any(motor.rolling_moment for motor in motors):
-        yield "rollingMomentCoefficient, a torque along the sideways flow, is left out: no effect has that law"
+        yield "rollingMomentCoefficient, a torque along the sideways flow: no effect has that law"
     if len({motor.sideways_drag for motor in motors}) > 1:
-        yield "rotorDragCoefficient is left out: it differs between rotors, and h_force_flapping has one for all"
+        yield "rotorDragCoefficient: it differs between rotors, and h_force_flapping has one for all"

@@ -1,198 +1,261 @@
 """SDF files of Gazebo: links as one body at the poses of the file, rotors from motor plugins.
 
-A pose is relative to the frame that it names, or else to that of the model (a link, a frame, a nested model) or of the child
-link (a joint). ``model://NAME`` is looked for in the folder that holds the file's own.
-
-Source: sdformat.org, "Pose frame semantics" (1.7 and later; older files name no frames, and mean the same).
+Every joint is welded. One that carries a rotor and moves its thrust line is a loss, as are plugins of wings.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
-from math import radians
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
 from aerial_gym.assets.urdf_body import weld
-from aerial_gym.config.robot import CollisionShape
+from aerial_gym.config.robot import BoxCfg, CollisionShape
 from aerial_gym.config.shape import PartCfg, ShapeCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.found import Found, FoundRotor, numbers, pose_of, roll_pitch_yaw, vec3
-from aerial_gym.robots.importers.motors import Motor, motors_in, notes_on, sideways_effects
+from aerial_gym.robots.importers.found import Found, FoundRotor, Weightless, roll_pitch_yaw, tilts, vec3
+from aerial_gym.robots.importers.joints import Weight
+from aerial_gym.robots.importers.motors import (
+    MOTOR_TAGS,
+    Motor,
+    force_left_out,
+    is_motor,
+    motors_in,
+    notes_on,
+    sideways_effects,
+)
+from aerial_gym.robots.importers.motors import assumed_of as motors_assumed
+from aerial_gym.robots.importers.sdf_inertia import (
+    SIZES,
+    assumed_of,
+    geometry_of,
+    lengths,
+    mesh_of,
+    unused_of,
+    weight_of,
+)
+from aerial_gym.robots.importers.sdf_tree import MODEL, TRUE, Element, Scope, SdfTree
 from aerial_gym.robots.importers.shapes import shape_of
+from aerial_gym.robots.importers.unused import Tags, by_kind, unused_in
 
-MODEL = "__model__"
-"""Name of the frame of a model in SDF files."""
+_MODEL: dict[str, Tags] = {
+    "pose": {},
+    "link": {
+        "pose": {},
+        "gravity": {},
+        "inertial": {
+            **{tag: {} for tag in ("pose", "mass", "density")},
+            "inertia": {f"i{axes}": {} for axes in ("xx", "xy", "xz", "yy", "yz", "zz")},
+        },
+        "collision": {
+            **{tag: {} for tag in ("pose", "density")},
+            "geometry": {
+                **{kind: {tag: {} for tag in tags} for kind, tags in SIZES.items()},
+                "mesh": {"uri": {}, "scale": {}},
+                "plane": {"normal": {}, "size": {}},
+            },
+        },
+    },
+    "joint": {"pose": {}, "parent": {}, "child": {}, "axis": {"xyz": {}, "use_parent_model_frame": {}}},
+    "frame": {"pose": {}},
+    "plugin": MOTOR_TAGS,
+    "include": {**{tag: {} for tag in ("uri", "name", "pose", "placement_frame")}, "plugin": MOTOR_TAGS},
+}
+_MODEL["model"] = _MODEL
+"""Elements of a model that are read."""
 
 
 def read(path: Path) -> Found:
-    """Return the vehicle of an SDF file."""
+    """Return the vehicle of an SDF file: the model with motors, or the first one."""
     root = ElementTree.parse(path).getroot()
-    model = root.find("model") if root.find("model") is not None else root.find("world/model")
-    if model is None:
-        raise ConfigError(f"SDF {path}: must hold a <model>")
-    where = f"SDF model {model.get('name')}"
-    tree = _Model(where=where, folder=path.resolve().parent)
-    tree.take(model, prefix="", into=MODEL)
-    if not tree.links:
-        raise ConfigError(f"{where}: no link has a name")
-    from_root = np.linalg.inv(tree.pose(next(iter(tree.links))))
-    found = ((name, link.find("inertial")) for name, link in tree.links.items())
-    inertials = [(name, inertial) for name, inertial in found if inertial is not None]
-    masses = [tree.value(inertial, "mass", name) for name, inertial in inertials]
-    if not sum(masses) > 0.0:
-        raise ConfigError(f"{where}: no link has a mass")
-    poses = [from_root @ tree.pose(name) @ tree.own_pose(inertial, name) for name, inertial in inertials]
-    motors = motors_in(root, where) or [m for other in tree.others for m in motors_in(other, where)]
+    tree, vehicle = _vehicle(root, path)
+    weights = {name: weight_of(tree, name) for name in tree.links}
+    if not sum(weight.mass for weight in weights.values()) > 0.0:
+        raise ConfigError(f"{tree.where}: no link has a mass")
+    from_root = np.linalg.inv(tree.pose(tree.root_link))
+    poses = [from_root @ weight.pose for weight in weights.values()]
+    motors = motors_in(tree.plugins, tree.where)
+    rotors = [_rotor(tree, motor, weights, from_root) for motor in motors]
+    reader = _Reader(tree, from_root, {motor.joint for motor in motors})
+    shapes = list(reader.shapes())
+    effects = sideways_effects(motors)
     return Found(
-        body=weld(masses, poses, [tree.inertia(inertial, name) for name, inertial in inertials]),
-        rotors=[tree.rotor(motor, from_root) for motor in motors],
-        shapes=list(tree.shapes(from_root)),
-        effects=sideways_effects(motors),
-        notes=(*notes_on(motors), *tree.notes),
+        body=weld([weight.mass for weight in weights.values()], poses, [weight.inertia for weight in weights.values()]),
+        rotors=rotors,
+        shapes=shapes,
+        weightless=[
+            Weightless(mass=weights[name].mass, position=pose[:3, 3])
+            for name, pose in zip(weights, poses, strict=True)
+            if (tree.links[name].findtext("gravity") or "1").strip().lower() not in TRUE
+        ],
+        effects=effects,
+        effects_source=f"{tree.where}: rotorDragCoefficient" if effects else "",
+        notes=(*notes_on(motors), *reader.notes(rotors), *_unused(root, vehicle, tree)),
+        assumed=(
+            *motors_assumed(motors),
+            *by_kind((what, name) for name in tree.links for what in assumed_of(tree, name)),
+            *reader.welded_loose(),
+        ),
+        losses=tuple(reader.losses(rotors)),
     )
 
 
+def _vehicle(root: Element, path: Path) -> tuple[SdfTree, Element]:
+    """Return the model that is the vehicle, and its element: the first one with motors, else the first."""
+    known = [child for base in (root, *root.findall("world")) for child in base if child.tag in ("model", "include")]
+    found, refusal = [], None
+    for element in known:
+        try:
+            found.append((_tree(element, path), element))
+        except ConfigError as error:  # a ground plane of a server, beside the vehicle
+            refusal = refusal or error
+    if not found:
+        raise refusal or ConfigError(f"SDF {path}: must hold a <model>")
+    return next((pair for pair in found if any(is_motor(plugin) for _, plugin in pair[0].plugins)), found[0])
+
+
+def _tree(element: Element, path: Path) -> SdfTree:
+    model = element
+    if element.tag == "include":
+        model = ElementTree.Element("model", name=(element.findtext("name") or element.findtext("uri") or "").strip())
+        merged = ElementTree.SubElement(model, "include", {**element.attrib, "merge": "true"})
+        merged.extend(element)
+    tree = SdfTree(where=f"SDF model {model.get('name')}")
+    tree.take(model, Scope("", MODEL, path.resolve().parent))
+    if not tree.links:
+        raise ConfigError(f"{tree.where}: no link has a name")
+    return tree
+
+
+def _rotor(tree: SdfTree, motor: Motor, weights: dict[str, Weight], from_root: np.ndarray) -> FoundRotor:
+    """Return where a motor pushes: at the centre of mass of its link, along z of the link."""
+    if motor.link not in tree.links or motor.joint not in tree.joints:
+        raise ConfigError(
+            f"{tree.where}: there is no link {motor.link!r}, or no joint {motor.joint!r}, for a motor. Known: "
+            f"{', '.join((*tree.links, *tree.joints))}"
+        )
+    return FoundRotor(
+        name=motor.link,
+        position=(from_root @ weights[motor.link].pose)[:3, 3],
+        axis=(from_root @ tree.pose(motor.link))[:3, 2],
+        spin=motor.spin,
+        rotor=motor.rotor,
+    )
+
+
+def _unused(root: Element, vehicle: Element, tree: SdfTree) -> Iterator[str]:
+    """Yield the elements that are not read."""
+    others = [child for base in (root, *root.findall("world")) for child in base if child is not vehicle]
+    plugins = [plugin for _, plugin in tree.plugins if not is_motor(plugin)]
+    used = {"model": _MODEL, "include": _MODEL["include"]}
+    yield from unused_in(root, {**used, "world": used}, left_out=[*plugins, *(o for o in others if o.tag in used)])
+    for included in tree.roots:
+        yield from unused_in(included, used, left_out=plugins)
+
+
 @dataclass
-class _Model:
-    """Links, joints and frames by their scoped names, each with the element that places it."""
+class _Reader:
+    """Joints and shapes of a model in the frame of its root link."""
 
-    where: str
-    folder: Path
-    links: dict[str, ElementTree.Element] = field(default_factory=dict)
-    joints: dict[str, ElementTree.Element] = field(default_factory=dict)
-    others: list[ElementTree.Element] = field(default_factory=list)
-    """Roots of included files."""
+    tree: SdfTree
+    from_root: np.ndarray
+    spun: set[str]
+    """Joints of motors."""
 
-    notes: list[str] = field(default_factory=list)
-    _places: dict[str, tuple[str, np.ndarray]] = field(default_factory=dict)
-    """Frame: the frame that it is placed in, and its pose there."""
+    def __post_init__(self) -> None:
+        self._without_shape: list[str] = []
+        tree = self.tree
+        self._above = {child: joint for joint in tree.joints if (child := tree.ends(joint)[1]) is not None}
 
-    def take(self, model: ElementTree.Element, *, prefix: str, into: str) -> None:
-        """Take what a model holds, with the names scoped by ``prefix``; ``into`` names its own frame."""
-        self._places.setdefault(into, ("", np.eye(4)))
-        for child in model:
-            name = prefix + child.get("name", "")
-            if child.tag == "link":
-                self.links[name] = child
-                self._place(name, child, prefix, into)
-            elif child.tag == "joint":
-                self.joints[name] = child
-                self._place(name, child, prefix, prefix + (child.findtext("child") or "").strip())
-            elif child.tag == "frame":
-                attached = child.get("attached_to")
-                self._place(name, child, prefix, into if attached is None else prefix + attached)
-            elif child.tag == "model":
-                self._place(name, child, prefix, into)
-                self.take(child, prefix=f"{name}::", into=name)
-            elif child.tag == "include":
-                self._include(child, prefix, into)
+    def _moves(self, joint: str) -> bool:
+        return self.tree.joints[joint].get("type") != "fixed" and joint not in self.spun
 
-    def _include(self, include: ElementTree.Element, prefix: str, into: str) -> None:
-        uri = (include.findtext("uri") or "").strip()
-        folder = self.folder.parent / uri.removeprefix("model://")
-        files = [file for file in (folder / "model.sdf", folder / f"{folder.name}.sdf", folder) if file.is_file()]
-        if not files:
-            raise ConfigError(
-                f"{self.where}: includes {uri!r}, which is not in {self.folder.parent}. Put the folder of that model there, or "
-                "take the include out of the file"
-            )
-        root = ElementTree.parse(files[0]).getroot()
-        model = root.find("model")
-        if model is None:
-            raise ConfigError(f"{self.where}: includes {files[0]}, which holds no <model>")
-        self.others.append(root)
-        merged = include.get("merge") == "true"
-        name = prefix + (include.findtext("name") or model.get("name", "")).strip()
-        frame = f"{name}::{MODEL}" if merged else name
-        self._place(frame, include if include.find("pose") is not None else model, prefix, into)
-        self.take(model, prefix=prefix if merged else f"{name}::", into=frame)
+    def losses(self, rotors: Sequence[FoundRotor]) -> Iterator[str]:
+        """Yield wings and joints without which the vehicle flies otherwise."""
+        yield from filter(None, (force_left_out(plugin) for _, plugin in self.tree.plugins))
+        tilting: dict[str, list[str]] = {}
+        for rotor in rotors:
+            for joint in self._carriers(rotor.name):
+                axis, kind = self.from_root[:3, :3] @ self.tree.axis(joint), self.tree.joints[joint].get("type", "")
+                if tilts(rotor, kind, axis, (self.from_root @ self.tree.pose(joint))[:3, 3]):
+                    tilting.setdefault(joint, []).append(rotor.name)
+        for joint, names in tilting.items():
+            yield f"joint {joint}, which moves {', '.join(names)}, is welded"
 
-    def _place(self, name: str, element: ElementTree.Element, prefix: str, default: str) -> None:
-        pose = element.find("pose")
-        to = None if pose is None else pose.get("relative_to")
-        scoped = default if not to or to == MODEL else prefix + to
-        self._places[name] = (scoped, self.own_pose(element, name))
+    def _carriers(self, link: str) -> Iterator[str]:
+        """Yield the moving joints between a link and the root."""
+        seen: set[str] = set()
+        at: str | None = link
+        while at is not None and at not in seen and at in self._above:
+            seen.add(at)
+            joint = self._above[at]
+            if self._moves(joint):
+                yield joint
+            at = self.tree.ends(joint)[0]
 
-    def own_pose(self, element: ElementTree.Element, name: str) -> np.ndarray:
-        """Return the pose that an element gives, (4, 4)."""
-        pose = element.find("pose")
-        if pose is None:
-            return np.eye(4)
-        if pose.get("rotation_format", "euler_rpy") != "euler_rpy":
-            raise ConfigError(
-                f"{self.where}: {name}: poses with rotation_format {pose.get('rotation_format')!r} are not read"
-            )
-        values = numbers(pose.text, 6, f"{self.where}: pose of {name}")
-        angles = [radians(a) for a in values[3:]] if pose.get("degrees") == "true" else values[3:]
-        return pose_of(values[:3], angles)
+    def notes(self, rotors: Sequence[FoundRotor]) -> Iterator[str]:
+        """Yield what of joints, links and shapes is not used."""
+        carrying = {joint for rotor in rotors for joint in self._carriers(rotor.name)}
+        if welded := [joint for joint in self.tree.joints if self._moves(joint) and joint not in carrying]:
+            yield f"joints that are welded: {', '.join(welded)}"
+        if held := [joint for joint in self.tree.joints if None in self.tree.ends(joint)]:
+            yield f"joints to the world: {', '.join(held)}"
+        if self._without_shape:
+            yield f"collision shapes: {', '.join(self._without_shape)}"
+        yield from by_kind((what, name) for name in self.tree.links for what in unused_of(self.tree, name))
 
-    def pose(self, name: str) -> np.ndarray:
-        """Return a frame in that of the outermost model, (4, 4)."""
-        pose, seen = np.eye(4), []
-        while name:
-            if name in seen or name not in self._places:
-                way = " -> ".join((*seen, name))
-                raise ConfigError(f"{self.where}: frame {name!r} is not there, or is placed in itself: {way}")
-            seen.append(name)
-            name, own = self._places[name]
-            pose = own @ pose
-        return pose
+    def welded_loose(self) -> Iterator[str]:
+        """Yield the links that no joint connects with the root."""
+        ends = [self.tree.ends(joint) for joint in self.tree.joints]
+        reached, waiting = set(), [self.tree.root_link]
+        while waiting:
+            link = waiting.pop()
+            reached.add(link)
+            waiting += [other for pair in ends if link in pair for other in pair if other and other not in reached]
+        if loose := [name for name in self.tree.links if name not in reached]:
+            yield f"links without a joint, welded to the others: {', '.join(loose)}"
 
-    def value(self, element: ElementTree.Element, tag: str, name: str) -> float:
-        """Return one number of an element, 0 where there is none."""
-        return numbers(element.findtext(tag), 1, f"{self.where}: {tag} of {name}")[0]
-
-    def inertia(self, inertial: ElementTree.Element, name: str) -> np.ndarray:
-        """Return the inertia of a link about its centre of mass, (3, 3)."""
-        own = inertial.find("inertia")
-        if own is None:
-            return np.zeros((3, 3))
-        xx, xy, xz, yy, yz, zz = (self.value(own, tag, name) for tag in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
-        return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
-    def rotor(self, motor: Motor, from_root: np.ndarray) -> FoundRotor:
-        """Return where a motor pushes: at the centre of mass of its link, along the axis of its joint."""
-        link, joint = self.links.get(motor.link), self.joints.get(motor.joint)
-        axis = None if joint is None else joint.find("axis/xyz")
-        if link is None or joint is None or axis is None:
-            raise ConfigError(
-                f"{self.where}: there is no link {motor.link!r}, or no joint {motor.joint!r} with an axis, for a motor"
-            )
-        along = np.array(numbers(axis.text, 3, f"{self.where}: axis of {motor.joint}"))
-        frame = axis.get("expressed_in") or motor.joint
-        if (joint.findtext("axis/use_parent_model_frame") or "").strip() in ("1", "true"):
-            frame = MODEL
-        inertial = link.find("inertial")
-        centre = (
-            self.pose(motor.link) if inertial is None else self.pose(motor.link) @ self.own_pose(inertial, motor.link)
-        )
-        return FoundRotor(
-            name=motor.link,
-            position=(from_root @ centre)[:3, 3],
-            axis=(from_root @ self.pose(frame))[:3, :3] @ along,
-            spin=motor.spin,
-            rotor=motor.rotor,
-        )
-
-    def shapes(self, from_root: np.ndarray) -> Iterator[CollisionShape]:
-        """Yield the collision shapes of all links; meshes and planes are left out, and noted."""
-        for name, link in self.links.items():
+    def shapes(self) -> Iterator[CollisionShape]:
+        """Yield the collision shapes of all links; boxes around what has no shape of its own here."""
+        for name, link in self.tree.links.items():
             for collision in link.findall("collision"):
-                pose = from_root @ self.pose(name) @ self.own_pose(collision, name)
-                shape = self._geometry(collision, name)
+                pose = self.from_root @ self.tree.pose_on(collision, name)
+                shape = self._shape(collision, name, pose)
                 if shape is not None:
-                    yield shape_of(PartCfg(shape=shape, position=vec3(pose[:3, 3]), euler=roll_pitch_yaw(pose[:3, :3])))
+                    yield shape
 
-    def _geometry(self, collision: ElementTree.Element, name: str) -> ShapeCfg | None:
-        found = next(iter(collision.find("geometry") or ()), None)
-        if found is None or found.tag not in ("sphere", "box", "cylinder", "capsule"):
-            kind = "none" if found is None else found.tag
-            self.notes.append(f"the collision shape of {name} is left out: {kind}")
+    def _shape(self, collision: Element, link: str, pose: np.ndarray) -> CollisionShape | None:
+        found = geometry_of(collision)
+        at = f"{self.tree.where}: collision of {link}"
+        if found is None or found.tag not in (*SIZES, "mesh"):
+            self._without_shape.append(f"{collision.get('name')} ({'none' if found is None else found.tag})")
             return None
-        if found.tag == "box":
-            return ShapeCfg(kind="box", size=vec3(numbers(found.findtext("size"), 3, f"{self.where}: box of {name}")))
-        radius = self.value(found, "radius", name)
-        height = None if found.tag == "sphere" else self.value(found, "length", name)
-        return ShapeCfg(kind=found.tag, radius=radius, height=height)
+        if found.tag == "mesh":
+            return self._around_mesh(found, collision, link, pose)
+        sizes = lengths(found, at)
+        if found.tag in ("ellipsoid", "cone"):
+            around = (
+                [2.0 * r for r in sizes] if found.tag == "ellipsoid" else [2.0 * sizes[0], 2.0 * sizes[0], sizes[1]]
+            )
+            return _box(pose, np.zeros(3), np.array(around))
+        shape = (
+            ShapeCfg(kind="box", size=vec3(sizes))
+            if found.tag == "box"
+            else ShapeCfg(kind=found.tag, radius=sizes[0], height=None if found.tag == "sphere" else sizes[1])
+        )
+        return shape_of(PartCfg(shape=shape, position=vec3(pose[:3, 3]), euler=roll_pitch_yaw(pose[:3, :3])))
+
+    def _around_mesh(self, shape: Element, collision: Element, link: str, pose: np.ndarray) -> CollisionShape | None:
+        try:
+            low, high = mesh_of(self.tree, link, shape).bounds
+            return _box(pose, 0.5 * (low + high), high - low)
+        except ConfigError as error:  # the hull of a model is often a file of its own, which is not at hand
+            self._without_shape.append(f"{collision.get('name')} ({error})")
+            return None
+
+
+def _box(pose: np.ndarray, center: np.ndarray, size: np.ndarray) -> BoxCfg:
+    """Return a box whose centre is given in a frame."""
+    place = pose[:3, :3] @ center + pose[:3, 3]
+    return BoxCfg(center=vec3(place), size=vec3(size), euler=roll_pitch_yaw(pose[:3, :3]))

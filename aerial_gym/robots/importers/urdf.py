@@ -1,11 +1,12 @@
 """URDF files: links as one body, rotors from motor plugins for Gazebo or from links that are named like rotors.
 
-The type of the latter is that of another robot, or what an element ``properties`` says of them.
+The type of the latter is that of another robot, or what an element ``properties`` says of them. Every joint is welded unless
+asked otherwise; a welded one that moves the thrust line of a rotor is a loss, as are plugins of wings.
 """
 
 import re
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from math import pi
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
@@ -14,18 +15,35 @@ import numpy as np
 
 from aerial_gym.assets.urdf import link_poses, load_urdf, read_urdf
 from aerial_gym.assets.urdf_body import urdf_body
-from aerial_gym.config.robot import CollisionShape, RotorCfg
+from aerial_gym.config.robot import CollisionShape
 from aerial_gym.config.shape import BASE, FIRST_INSTANCE_ID, PartCfg
-from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.found import Found, FoundRotor, numbers
+from aerial_gym.robots.importers.found import Found, FoundRotor, Weightless, tilts
 from aerial_gym.robots.importers.joints import FoundJoint, Weight, carriers_of, layout_of
-from aerial_gym.robots.importers.motors import motors_in, notes_on, sideways_effects
+from aerial_gym.robots.importers.motors import (
+    MOTOR_TAGS,
+    Motor,
+    assumed_of,
+    force_left_out,
+    is_motor,
+    motors_in,
+    notes_on,
+    sideways_effects,
+)
+from aerial_gym.robots.importers.properties import read_properties
 from aerial_gym.robots.importers.shapes import shape_of
+from aerial_gym.robots.importers.unused import Tags, unused_in
 
 if TYPE_CHECKING:
     from yourdfpy import URDF
     from yourdfpy.urdf import Joint
+
+
+_SHAPE: Tags = {"origin": {}, "geometry": {kind: {} for kind in ("box", "sphere", "cylinder", "mesh")}}
+_JOINT: Tags = {tag: {} for tag in ("origin", "parent", "child", "axis")}
+_MOVING: Tags = {tag: {} for tag in ("limit", "dynamics")}
+
+_OFF = ("true", "1")
 
 
 def read(path: Path, rotor_links: str, lag: float | None, *, take_properties: bool, joints: bool = False) -> Found:
@@ -42,79 +60,128 @@ def read(path: Path, rotor_links: str, lag: float | None, *, take_properties: bo
     body, robot = urdf_body(path), read_urdf(path)
     poses = link_poses(robot)
     root = ElementTree.parse(path).getroot()
-    motors, where = motors_in(root, f"URDF {path.name}"), f"URDF {path.name}"
+    where = f"URDF {path.name}"
+    plugins = [("", plugin) for plugin in root.iter("plugin")]
+    motors = motors_in(plugins, where)
+    names = [] if motors else [name for name in robot.link_map if re.fullmatch(rotor_links, name)]
     spun = {motor.joint for motor in motors}
-    names = [] if motors else [name for name in poses if re.fullmatch(rotor_links, name)]
     spun |= {joint.name for joint in robot.joint_map.values() if joint.child in names and joint.type == "continuous"}
     moving, on, notes = _moving(robot, poses, spun, where) if joints else ([], dict.fromkeys(poses, BASE), [])
-    layout, shapes = layout_of(moving), _shapes(path, list(robot.link_map), on)
-    if not motors:
-        kind = _described(root, body.mass, len(names), lag, where) if names and take_properties else None
-        rotors = [
-            FoundRotor(name=n, position=_hub(robot, n, poses[n]), axis=poses[n][:3, 2], rotor=kind, link=on[n])
-            for n in names
-        ]
-        return Found(body=body, rotors=rotors, shapes=shapes, joints=layout, notes=tuple(notes))
-    axes = {}
-    for joint in root.iter("joint"):
-        axis = joint.find("axis")
-        axes[joint.get("name")] = numbers("1 0 0" if axis is None else axis.get("xyz"), 3, f"{where}: axis of a joint")
-    rotors = []
-    for motor in motors:
-        if motor.link not in poses or motor.joint not in axes:
-            raise ConfigError(
-                f"{where}: there is no link {motor.link!r} or no joint {motor.joint!r} for one of its motors"
-            )
-        pose = poses[motor.link]
-        axis = pose[:3, :3] @ axes[motor.joint]
-        rotors.append(
-            FoundRotor(
-                name=motor.link,
-                position=pose[:3, 3],
-                axis=axis,
-                spin=motor.spin,
-                rotor=motor.rotor,
-                link=on[motor.link],
-            )
-        )
+    told = read_properties(root, body.mass, len(names) if take_properties else 0, lag, where)
+    rotors = [_motor(motor, robot, poses, on, where) for motor in motors]
+    rotors += [
+        FoundRotor(name=n, position=_hub(robot, [n], poses), axis=poses[n][:3, 2], rotor=told.rotor, link=on[n])
+        for n in names
+    ]
+    moves = {joint.name for joint in moving}
+    welded = [j for j in robot.joint_map.values() if j.type != "fixed" and j.name not in spun and j.name not in moves]
+    losses = [loss for _, plugin in plugins if (loss := force_left_out(plugin)) is not None]
+    tilting = {joint.name: _tilted(joint, rotors, robot, poses) for joint in welded}
+    still = [joint.name for joint in welded if not tilting[joint.name]]
+    sideways = sideways_effects(motors)
     return Found(
         body=body,
         rotors=rotors,
-        shapes=shapes,
-        joints=layout,
-        effects=sideways_effects(motors),
-        notes=(*notes_on(motors), *notes),
+        shapes=_shapes(path, list(robot.link_map), on),
+        joints=layout_of(moving),
+        weightless=_weightless(root, robot, poses, on),
+        effects={**sideways, **told.effects},
+        effects_source=f"{where}: rotorDragCoefficient" if sideways else told.source,
+        notes=(
+            *notes_on(motors),
+            *notes,
+            *told.notes,
+            *([f"joints that are welded: {', '.join(still)}"] if still and not joints else []),
+            *_unused(root, joints=joints),
+        ),
+        assumed=(*assumed_of(motors), *told.assumed),
+        losses=(
+            *losses,
+            *(f"joint {name}, which moves {', '.join(of)}, is welded" for name, of in tilting.items() if of),
+        ),
     )
 
 
-def _hub(robot: "URDF", link: str, pose: np.ndarray) -> np.ndarray:
-    """Return the centre of mass of a link [m], (3,): simulators push there, and some files place rotors by it alone."""
-    inertial = robot.link_map[link].inertial
-    return (pose if inertial is None or inertial.origin is None else pose @ inertial.origin)[:3, 3]
+def _unused(root: ElementTree.Element, *, joints: bool) -> Iterator[str]:
+    """Yield the elements that are not read; what is seen of a link counts only where nothing of it collides."""
+    used: Tags = {
+        "link": {
+            "inertial": {tag: {} for tag in ("origin", "mass", "inertia")},
+            "collision": _SHAPE,
+            "visual": _SHAPE,
+        },
+        "joint": {**_JOINT, **(_MOVING if joints else {})},
+        "gazebo": {"plugin": MOTOR_TAGS, "turnGravityOff": {}, "gravity": {}},
+        "properties": {},
+    }
+    seen = [v for link in root.iter("link") if link.find("collision") is not None for v in link.findall("visual")]
+    yield from unused_in(root, used, left_out=[*seen, *(p for p in root.iter("plugin") if not is_motor(p))])
 
 
-def _described(root: ElementTree.Element, mass: float, count: int, lag: float | None, where: str) -> RotorCfg | None:
-    """Return the rotor type in the element ``properties`` of gym-pybullet-drones, or None if there is none.
+def _weightless(
+    root: ElementTree.Element, robot: "URDF", poses: dict[str, np.ndarray], on: dict[str, str]
+) -> list[Weightless]:
+    """Return the links whose weight Gazebo leaves out."""
+    found = []
+    for name, link in robot.link_map.items():
+        texts = [e for e in root.findall("gazebo") if e.get("reference") == name]
+        off = any((e.findtext("turnGravityOff") or "").strip().lower() in _OFF for e in texts)
+        off |= any((e.findtext("gravity") or "1").strip().lower() not in _OFF for e in texts)
+        if off and link.inertial is not None and link.inertial.mass:
+            mass = float(link.inertial.mass)
+            found.append(Weightless(mass=mass, position=_hub(robot, [name], poses), link=on[name]))
+    return found
 
-    ``kf`` [N/rpm²], ``km`` [N m/rpm²], and ``thrust2weight``, the thrust of all rotors per weight.
+
+def _motor(motor: Motor, robot: "URDF", poses: dict[str, np.ndarray], on: dict[str, str], where: str) -> FoundRotor:
+    """Return where a motor pushes: along z of its link, at the centre of mass of it and of what is fixed to it.
+
+    Gazebo joins links with fixed joints to one before it simulates them.
     """
-    found = root.find("properties")
-    if found is None or any(found.get(name) is None for name in ("kf", "km", "thrust2weight")):
-        return None
-    if lag is None:
+    if motor.link not in poses or motor.joint not in robot.joint_map:
         raise ConfigError(
-            f"{where}: its properties tell thrust and torque of rotors, and no lag. Give one (--lag-s, lag of RotorHints), "
-            "measured or that of a similar motor: 0.02 to 0.1 s"
+            f"{where}: there is no link {motor.link!r} or no joint {motor.joint!r} for one of its motors. Known: "
+            f"{', '.join((*poses, *robot.joint_map))}"
         )
-    kf, km, ratio = (numbers(found.get(n), 1, f"{where}: properties")[0] for n in ("kf", "km", "thrust2weight"))
-    return RotorCfg(
-        thrust_map=(0.0, 0.0, kf * (30.0 / pi) ** 2),
-        torque_ratio=km / kf,
-        time_constant_up=lag,
-        time_constant_down=lag,
-        thrust_range=(0.0, ratio * mass * STANDARD_GRAVITY / count),
-        source=f"{where}, properties: kf, km, thrust2weight; lag of {lag:g} s: given when it was imported",
+    group = [motor.link]
+    for link in group:  # grows while it is walked
+        group += [j.child for j in robot.joint_map.values() if j.type == "fixed" and j.parent == link]
+    return FoundRotor(
+        name=motor.link,
+        position=_hub(robot, group, poses),
+        axis=poses[motor.link][:3, 2],
+        spin=motor.spin,
+        rotor=motor.rotor,
+        link=on[motor.link],
     )
+
+
+def _tilted(joint: "Joint", rotors: Sequence[FoundRotor], robot: "URDF", poses: dict[str, np.ndarray]) -> list[str]:
+    """Return the rotors whose thrust line a joint would move."""
+    above = {other.child: other.parent for other in robot.joint_map.values()}
+    axis = poses[joint.child][:3, :3] @ np.asarray(joint.axis, dtype=float)
+    found = []
+    for rotor in rotors:
+        link: str | None = rotor.name
+        while link is not None and link != joint.child:
+            link = above.get(link)
+        if link is not None and tilts(rotor, joint.type, axis, poses[joint.child][:3, 3]):
+            found.append(rotor.name)
+    return found
+
+
+def _hub(robot: "URDF", links: Sequence[str], poses: dict[str, np.ndarray]) -> np.ndarray:
+    """Return the centre of mass of links [m], (3,), for simulators push there; without mass that of the first one's frame."""
+    inertials = [(robot.link_map[link].inertial, poses[link]) for link in links]
+    frames = [
+        (own.mass or 0.0, pose if own.origin is None else pose @ own.origin)
+        for own, pose in inertials
+        if own is not None
+    ]
+    mass = sum(weight for weight, _ in frames)
+    if mass > 0.0:
+        return sum((weight * frame[:3, 3] for weight, frame in frames), np.zeros(3)) / mass
+    return (frames[0][1] if inertials[0][0] is not None else poses[links[0]])[:3, 3]
 
 
 def _moving(

@@ -1,0 +1,252 @@
+"""Links, joints, frames and plugins of an SDF model, of the models nested in it, and of those that it includes.
+
+A pose is relative to the frame that it names, or else to that of the model (a link, a frame, a nested model), of the link (a
+collision), or of the child (a joint). Names within a nested model ``m`` are scoped: ``m::link``. ``model://NAME`` is looked for
+in the folder that holds the file's own, other addresses in the file's own folder.
+
+Source: sdformat.org, "Pose frame semantics" and "Model composition" (1.7 and later; older files name no frames, and mean the
+same).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from math import radians
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from aerial_gym.errors import ConfigError
+from aerial_gym.robots.importers.found import numbers, pose_of
+
+Element = ElementTree.Element
+
+MODEL = "__model__"
+"""Name of the frame of a model in SDF files."""
+
+TRUE = ("true", "1")
+
+
+@dataclass(frozen=True)
+class Scope:
+    """The model in which an element stands."""
+
+    prefix: str
+    """Put before the names that it uses."""
+
+    frame: str
+    """Name of the model's own frame."""
+
+    folder: Path
+    """Of the file."""
+
+
+@dataclass(frozen=True)
+class _Place:
+    base: str
+    """Frame that it is placed in; none of the outermost model."""
+
+    pose: np.ndarray
+    placement: str | None = None
+    """Frame of a model that stands at the pose in place of the model's own."""
+
+
+@dataclass
+class SdfTree:
+    """Everything of a model by scoped names."""
+
+    where: str
+    links: dict[str, Element] = field(default_factory=dict)
+    joints: dict[str, Element] = field(default_factory=dict)
+    plugins: list[tuple[str, Element]] = field(default_factory=list)
+    """Each with the scope of its names."""
+
+    scopes: dict[str, Scope] = field(default_factory=dict)
+    """Of links and joints."""
+
+    roots: list[Element] = field(default_factory=list)
+    """Of included files."""
+
+    _places: dict[str, _Place] = field(default_factory=dict)
+    _attached: dict[str, str] = field(default_factory=dict)
+    """Frame: what it is attached to; model frame: its canonical link."""
+
+    def take(self, model: Element, scope: Scope) -> None:
+        """Take what a model holds, and place the model itself if nobody has."""
+        self._places.setdefault(scope.frame, _Place("", np.eye(4)))
+        before = list(self.links)
+        for child in model:
+            name = scope.prefix + child.get("name", "")
+            if child.tag == "link":
+                self.links[name], self.scopes[name] = child, scope
+                self._place(name, child, scope, scope.frame)
+            elif child.tag == "joint":
+                self.joints[name], self.scopes[name] = child, scope
+                self._place(name, child, scope, self.scoped(child.findtext("child"), scope))
+            elif child.tag == "frame":
+                to = self.scoped(child.get("attached_to") or MODEL, scope)
+                self._attached[name] = to
+                self._place(name, child, scope, to)
+            elif child.tag == "plugin":
+                self.plugins.append((scope.prefix, child))
+            elif child.tag == "model":
+                self._nest(child, child, Scope(f"{name}::", name, scope.folder), scope)
+            elif child.tag == "include":
+                self._include(child, scope)
+        self._attached.setdefault(scope.frame, self._canonical(model, scope, before))
+
+    def scoped(self, name: str | None, scope: Scope) -> str:
+        """Return the name in the outermost model of what an element names."""
+        own = (name or "").strip()
+        if own == MODEL:
+            return scope.frame
+        return scope.prefix + own.removesuffix(f"::{MODEL}")
+
+    def _canonical(self, model: Element, scope: Scope, before: list[str]) -> str:
+        """Return the link that a model's frame goes with: the one it names, its first own one, or that of a model in it."""
+        if model.get("canonical_link"):
+            return self.scoped(model.get("canonical_link"), scope)
+        new = [name for name in self.links if name not in before]
+        own = [name for name in new if "::" not in name.removeprefix(scope.prefix)]
+        return next(iter((*own, *new)), "")
+
+    def _nest(self, model: Element, placed: Element, inner: Scope, scope: Scope) -> None:
+        """Take a model within another one, at the pose of ``placed``: itself, or the element that includes it."""
+        self._place(inner.frame, placed, scope, scope.frame, _placement(placed, model, inner))
+        self.take(model, inner)
+
+    def _include(self, include: Element, scope: Scope) -> None:
+        file = _file_of((include.findtext("uri") or "").strip(), scope.folder, self.where)
+        root = ElementTree.parse(file).getroot()
+        model = root.find("model")
+        if model is None:
+            raise ConfigError(f"{self.where}: includes {file}, which holds no <model>")
+        self.roots.append(root)
+        name = scope.prefix + (include.findtext("name") or model.get("name", "")).strip()
+        inner = Scope(f"{name}::", name, file.parent)
+        if include.get("merge") in TRUE:
+            inner = Scope(scope.prefix, f"{name}::{MODEL}", file.parent)
+        self._nest(model, include if include.find("pose") is not None else model, inner, scope)
+        self.plugins += [(inner.prefix, plugin) for plugin in include.findall("plugin")]
+
+    def _place(self, name: str, element: Element, scope: Scope, default: str, placement: str | None = None) -> None:
+        base, pose = self._own(element, name, scope, default)
+        self._places[name] = _Place(base, pose, placement)
+
+    def _own(self, element: Element, name: str, scope: Scope, default: str) -> tuple[str, np.ndarray]:
+        """Return in which frame an element is placed, and its pose there."""
+        pose = element.find("pose")
+        if pose is None:
+            return default, np.eye(4)
+        to = pose.get("relative_to") or pose.get("frame")
+        return self.scoped(to, scope) if to else default, read_pose(pose, f"{self.where}: pose of {name}")
+
+    def pose(self, name: str, within: str = "") -> np.ndarray:
+        """Return a frame in that of the outermost model, or within another one, (4, 4)."""
+        pose, seen = np.eye(4), []
+        while name != within:
+            if name in seen or name not in self._places:
+                way = " -> ".join((*seen, name))
+                raise ConfigError(f"{self.where}: frame {name!r} is not there, or is placed in itself: {way}")
+            seen.append(name)
+            place = self._places[name]
+            pose = place.pose @ self._from_placement(place, name) @ pose
+            name = place.base
+        return pose
+
+    def _from_placement(self, place: _Place, name: str) -> np.ndarray:
+        return np.eye(4) if place.placement is None else np.linalg.inv(self.pose(place.placement, within=name))
+
+    def pose_on(self, element: Element, link: str) -> np.ndarray:
+        """Return a collision or inertial frame of a link in the outermost model's, (4, 4)."""
+        base, pose = self._own(element, link, self.scopes[link], link)
+        return self.pose(base) @ pose
+
+    def link_of(self, name: str) -> str | None:
+        """Return the link that a joint's parent or child goes with: a link, a frame or a model; None of the world."""
+        seen: list[str] = []
+        while name not in self.links:
+            if name in seen or name not in self._attached:
+                return None
+            seen.append(name)
+            name = self._attached[name]
+        return name
+
+    def ends(self, joint: str) -> tuple[str | None, str | None]:
+        """Return parent and child link of a joint; None of the world."""
+        element, scope = self.joints[joint], self.scopes[joint]
+        parent, child = (self.link_of(self.scoped(element.findtext(tag), scope)) for tag in ("parent", "child"))
+        return parent, child
+
+    @property
+    def root_link(self) -> str:
+        """Name of the link whose frame becomes the body's: the canonical one of the outermost model."""
+        name = self.link_of(MODEL)
+        if name is None:
+            raise ConfigError(f"{self.where}: no link has a name, or the canonical link is not there")
+        return name
+
+    def axis(self, joint: str) -> np.ndarray:
+        """Return the axis of a joint in the outermost model's frame, (3,)."""
+        element, scope, frame = self.joints[joint].find("axis"), self.scopes[joint], joint
+        if element is None:
+            return self.pose(joint)[:3, 2]
+        xyz = element.find("xyz")
+        if (element.findtext("use_parent_model_frame") or "").strip() in TRUE:
+            frame = scope.frame
+        elif xyz is not None and xyz.get("expressed_in"):
+            frame = self.scoped(xyz.get("expressed_in"), scope)
+        along = numbers("0 0 1" if xyz is None else xyz.text, 3, f"{self.where}: axis of {joint}")
+        return self.pose(frame)[:3, :3] @ np.array(along)
+
+    def mesh_file(self, uri: str, link: str) -> Path:
+        """Return the file of a mesh of a link."""
+        return _file_of(uri, self.scopes[link].folder, self.where)
+
+
+def _placement(placed: Element, model: Element, inner: Scope) -> str | None:
+    """Return the frame of a model that its pose places, or None: its own."""
+    name = placed.findtext("placement_frame") or model.get("placement_frame")
+    return None if name is None or name.strip() == MODEL else inner.prefix + name.strip()
+
+
+def read_pose(pose: Element, where: str) -> np.ndarray:
+    """Return a frame (4, 4) from a <pose>: place and ZYX angles in radians or degrees, or place and quaternion xyzw."""
+    from trimesh.transformations import quaternion_matrix
+
+    kind, degrees = pose.get("rotation_format", "euler_rpy"), pose.get("degrees", "").lower() in TRUE
+    if kind == "quat_xyzw" and not degrees:
+        x, y, z, *quaternion = numbers(pose.text or "0 0 0 0 0 0 1", 7, where)
+        if not np.linalg.norm(quaternion) > 0.0:
+            raise ConfigError(
+                f"{where} = {pose.text!r}: the quaternion is 0: must turn by some angle, 0 0 0 1 for none"
+            )
+        turned = quaternion_matrix([quaternion[3], *quaternion[:3]])
+        turned[:3, 3] = x, y, z
+        return turned
+    if kind != "euler_rpy":
+        raise ConfigError(
+            f"{where}: rotation_format {kind!r}: must be euler_rpy, in radians or degrees, or quat_xyzw without degrees"
+        )
+    values = numbers(pose.text, 6, where)
+    return pose_of(values[:3], [radians(a) for a in values[3:]] if degrees else values[3:])
+
+
+def _file_of(uri: str, folder: Path, where: str) -> Path:
+    """Return the file that an address means: of a model, its model.sdf or NAME.sdf."""
+    found = list(_files(uri, folder))
+    if not found:
+        raise ConfigError(
+            f"{where}: includes {uri!r}, which is not in {folder.parent}. Put the folder of that model there, or take the "
+            "element out of the file"
+        )
+    return found[0]
+
+
+def _files(uri: str, folder: Path) -> Iterator[Path]:
+    base = folder.parent if uri.startswith("model://") else folder
+    rest = uri.removeprefix("model://").removeprefix("file://")
+    for path in (base / rest, folder.parent / rest):
+        for file in (path / "model.sdf", path / f"{path.name}.sdf", path):
+            if rest and file.is_file():
+                yield file

@@ -1,0 +1,46 @@
+"""Elements of an XML file that an importer does not use, one line for each kind."""
+
+from collections.abc import Container, Iterable, Iterator, Mapping
+from typing import Any
+from xml.etree.ElementTree import Element
+
+Tags = Mapping[str, Any]
+"""Tags that are used, each with those used within it."""
+
+
+def unused_in(root: Element, used: Tags, *, left_out: Container[Element] = ()) -> Iterator[str]:
+    """Yield what is not used: ``sensor: front (camera), imu (imu)``, or ``limit of axis: rotor_0_joint``.
+
+    Args:
+        root: Element whose children are looked through.
+        used: Tags that are used within it.
+        left_out: Elements that are not used although their tags are.
+    """
+    yield from by_kind(_pairs(root, used, root.get("name", ""), left_out))
+
+
+def by_kind(pairs: Iterable[tuple[str, str]]) -> Iterator[str]:
+    """Yield one line for each kind, with the names of that kind: ``kind: name, name``."""
+    found: dict[str, dict[str, None]] = {}
+    for kind, name in pairs:
+        found.setdefault(kind, {})[name] = None
+    for kind, names in found.items():
+        yield f"{kind}: {', '.join(names)}"
+
+
+def _pairs(element: Element, used: Tags, owner: str, left_out: Container[Element]) -> Iterator[tuple[str, str]]:
+    for child in element:
+        inner = used.get(child.tag)
+        if inner is None or child in left_out:
+            yield _named(child, element, owner)
+        else:
+            yield from _pairs(child, inner, child.get("name") or child.get("reference") or owner, left_out)
+
+
+def _named(element: Element, parent: Element, owner: str) -> tuple[str, str]:
+    """Return the kind of an element and its name, or that of what it belongs to."""
+    name = element.get("name") or element.get("reference") or element.findtext("uri") or element.get("filename")
+    more = element.get("type") or element.get("filename")
+    if name is None:
+        return f"{element.tag} of {parent.tag}", owner or parent.tag
+    return element.tag, name if more in (None, name) else f"{name} ({more})"

@@ -1,0 +1,222 @@
+"""MJCF files: limits, dynamics and gravity compensation of actuators and bodies, and what is refused or named."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aerial_gym.cli.main import main
+from aerial_gym.config.robot import load_robot
+from aerial_gym.errors import ConfigError
+from aerial_gym.robots.importers import Imported, RotorHints, import_robot, read_robot
+
+pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[dev]'")
+
+PLACES = ("0.14 -0.18 0", "-0.14 0.18 0", "0.14 0.18 0", "-0.14 -0.18 0")
+LAG = RotorHints(lag=0.04)
+
+
+def vehicle(
+    actuator: str = 'ctrlrange="0 6"', more: str = "", head: str = "", tail: str = "", kind: str = "general"
+) -> str:
+    """Return a quadrotor of 1 kg, each of whose actuators has the given attributes."""
+    sites = "".join(f'<site name="s{n}" pos="{place}"/>' for n, place in enumerate(PLACES))
+    rotors = "".join(
+        f'<{kind} name="m{n}" site="s{n}" gear="0 0 1 0 0 {(-0.02, -0.02, 0.02, 0.02)[n]}" {actuator}/>'
+        for n in range(4)
+    )
+    return (
+        f'<mujoco><compiler autolimits="true"/>{head}<worldbody><body name="hull"><freejoint/><inertial pos="0 0 0" mass="1" '
+        f'diaginertia="0.01 0.01 0.02"/>{sites}{more}</body></worldbody><actuator>{rotors}</actuator>{tail}</mujoco>'
+    )
+
+
+def read(folder: Path, text: str, hints: RotorHints = LAG) -> Imported:
+    path = folder / "robot.xml"
+    path.write_text(text, encoding="utf-8")
+    return read_robot(path, hints)
+
+
+@pytest.mark.parametrize(
+    ("kind", "actuator", "limits"),
+    [
+        ("general", 'ctrlrange="0 8" forcerange="0 5"', (0.0, 5.0)),
+        ("general", 'forcerange="-1 5"', (-1.0, 5.0)),
+        ("motor", 'ctrlrange="0.5 8"', (0.5, 8.0)),
+        ("general", 'ctrlrange="0 1" gainprm="7"', (0.0, 7.0)),
+        ("general", 'ctrlrange="0 1" gainprm="7" biastype="affine" biasprm="0.5 0 0"', (0.5, 7.5)),
+        (
+            "general",
+            'ctrlrange="0 1" gainprm="7" biastype="affine" biasprm="-0.5 -9 -0.1" forcerange="0 6"',
+            (0.0, 6.0),
+        ),
+        ("general", 'ctrlrange="0 1" gaintype="affine" gainprm="7 3 2"', (0.0, 7.0)),
+        ("general", 'ctrlrange="-8 -1"', (1.0, 8.0)),
+        ("general", 'ctrlrange="1 8" gainprm="-1"', (1.0, 8.0)),
+        ("position", 'ctrlrange="0 2" kp="3"', (0.0, 6.0)),
+        ("velocity", 'ctrlrange="0 2" kv="3"', (0.0, 6.0)),
+        ("general", 'ctrlrange="0 9" dyntype="filter" dynprm="0.05" actrange="0.2 4"', (0.2, 4.0)),
+        ("general", 'ctrlrange="-2 9" dyntype="integrator" actrange="0 6"', (0.0, 6.0)),
+        ("general", 'ctrlrange="-9 9" dyntype="integrator" actrange="0 6" gainprm="0.5" forcerange="0 2"', (0.0, 2.0)),
+    ],
+)
+def test_the_thrust_range_is_what_all_limits_leave(kind: str, actuator: str, limits, tmp_path: Path) -> None:
+    rotor = read(tmp_path, vehicle(actuator, kind=kind)).robot.the_rotor("a test")
+    assert rotor.thrust_range == pytest.approx(limits)
+    assert rotor.torque_ratio == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize(
+    ("actuator", "lag"),
+    [
+        ('ctrlrange="0 6"', 0.04),
+        ('ctrlrange="0 6" dyntype="filter" dynprm="0.07"', 0.07),
+        ('ctrlrange="0 6" dyntype="filterexact" dynprm="0.07"', 0.07),
+        ('ctrlrange="0 6" dyntype="filterexact" dynprm="0"', 0.04),
+        ('ctrlrange="-1 6" dyntype="integrator" actrange="0 6"', 0.04),
+    ],
+)
+def test_the_lag_is_that_of_the_file_or_the_given_one(actuator: str, lag: float, tmp_path: Path) -> None:
+    rotor = read(tmp_path, vehicle(actuator)).robot.the_rotor("a test")
+    assert (rotor.time_constant_up, rotor.time_constant_down) == (lag, lag)
+
+
+def test_an_integrator_asks_for_a_lag_and_takes_it(tmp_path: Path) -> None:
+    """Its control is the rate of thrust: its limits are those of the rate where it may fall as well as grow."""
+    text = vehicle('ctrlrange="-30 60" dyntype="integrator" actrange="0 6" gainprm="0.5"')
+    path, out = tmp_path / "robot.xml", tmp_path / "robot.yaml"
+    path.write_text(text)
+    assert main(["import-robot", str(path), "--out", str(out)]) == 2
+    assert main(["import-robot", str(path), "--out", str(out), "--lag-s", "0.05"]) == 0
+    rotor = load_robot(out).the_rotor("a test")
+    assert (rotor.time_constant_up, rotor.thrust_range) == (0.05, (0.0, 3.0))
+    assert (rotor.slew_rate, rotor.slew_rate_down) == (30.0, 15.0)
+    growing = read(tmp_path, vehicle('ctrlrange="0 6" dyntype="integrator" actrange="0 6"')).robot.the_rotor("a test")
+    assert (growing.slew_rate, growing.slew_rate_down) == (None, None)
+
+
+POD = '<body name="pod{}" gravcomp="{}" pos="{}"><inertial pos="0 0 0" mass="0.5" diaginertia="1e-4 1e-4 1e-4"/></body>'
+
+
+def test_gravity_compensation_is_an_upward_force(tmp_path: Path) -> None:
+    """0.5 kg and half of 0.5 kg without weight: their force at the point where both together would hang."""
+    more = POD.format(0, 1, "0 0.1 -0.1") + POD.format(1, 0.5, "0 -0.2 -0.1") + POD.format(2, 0, "0 0.1 0.2")
+    robot = read(tmp_path, vehicle(more=more)).robot
+    assert robot.body.mass == pytest.approx(2.5)
+    force = 0.75 * 9.81
+    assert robot.effects["buoyancy"] == pytest.approx({"force": force, "x": 0.0, "y": 0.0, "z": -0.1}, abs=1e-12)
+    assert robot.control.buoyancy == pytest.approx(force)
+    with pytest.raises(ConfigError):
+        read(tmp_path, vehicle(more=POD.format(0, -1, "0 0 0")))
+
+
+def test_gravity_compensation_on_a_joint_stays_on_its_link(tmp_path: Path) -> None:
+    """Offsets are from the centres of mass of the links: the arm's own is at its one body, that of the base at the hull."""
+    arm = POD.format("", 1, "0 0 -0.1").replace("<inertial", '<joint name="swing" axis="0 1 0"/><inertial')
+    robot = read(tmp_path, vehicle(more=arm + POD.format(1, 1, "0 0.3 0")), RotorHints(lag=0.04, joints=True)).robot
+    params = robot.effects["link_buoyancy"]
+    assert params["swing.force"] == pytest.approx(0.5 * 9.81)
+    assert params["base.force"] == pytest.approx(0.5 * 9.81)
+    np.testing.assert_allclose([params[f"swing.{a}"] for a in "xyz"], 0.0, atol=1e-12)
+    np.testing.assert_allclose([params[f"base.{a}"] for a in "xyz"], (0.0, 0.2, 0.0), atol=1e-12)
+
+
+def test_equal_delays_are_an_effect(tmp_path: Path) -> None:
+    found = read(tmp_path, vehicle('ctrlrange="0 6" delay="0.01" nsample="10"'))
+    assert found.robot.effects["actuation_delay"] == {"delay": 0.01}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        vehicle('ctrlrange="0 6" refsite="s0"'),
+        vehicle('ctrlrange="0 6" dyntype="muscle"'),
+        vehicle('ctrlrange="0 6" gaintype="user"'),
+        vehicle('ctrlrange="0 6" biastype="user"'),
+        vehicle('ctrlrange="0 6" gainprm="0"'),
+        vehicle(""),
+        vehicle('ctrlrange="0 6"', head='<option><flag clampctrl="disable"/></option>'),
+        vehicle('ctrlrange="0 8" forcerange="9 10"'),
+        vehicle('dyntype="integrator" ctrlrange="0 6"'),
+        vehicle('kv="2" ctrlrange="0 1"', kind="damper"),
+        vehicle('ctrlrange="0 6" group="3"', head='<option actuatorgroupdisable="3"/>'),
+    ],
+)
+def test_what_is_no_rotor_is_refused(text: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError):
+        read(tmp_path, text)
+
+
+def on_arm(joint: str, **kwargs) -> str:
+    """Return a quadrotor whose first site is on a body with a joint."""
+    site = f'<site name="s0" pos="{PLACES[0]}"/>'
+    arm = f'<body name="arm">{joint}<inertial pos="0 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/>{site}</body>'
+    return vehicle(more=arm, **kwargs).replace(site, "", 1)
+
+
+@pytest.mark.parametrize(
+    ("joint", "tilts"),
+    [
+        ('<joint name="j" axis="1 0 0"/>', True),
+        ('<joint name="j" axis="0 0 1"/>', True),
+        ('<joint name="j" axis="0 0 1" pos="0.14 -0.18 0.3"/>', False),  # spins about its own axis
+        ('<joint name="j" type="slide" axis="0 0 1"/>', True),
+        ('<joint name="j" type="ball"/>', True),
+        ("", False),
+    ],
+)
+def test_a_joint_that_moves_a_thrust_line_is_a_loss(joint: str, tilts: bool, tmp_path: Path) -> None:
+    text = on_arm(joint)
+    if tilts:
+        with pytest.raises(ConfigError):
+            read(tmp_path, text)
+    found = read(tmp_path, text, RotorHints(lag=0.04, accept_losses=True))
+    assert found.robot.num_rotors == 4
+    assert any("j" in note.split() for note in found.notes) == (joint != "") or any(": j" in n for n in found.notes)
+    if "ball" not in joint and joint:
+        bent = read(tmp_path, text, RotorHints(lag=0.04, joints=True)).robot
+        assert bent.joints is not None
+        assert bent.mounts.layout[0].link == "j"
+
+
+def test_lifting_bodies_are_a_loss(tmp_path: Path) -> None:
+    wing = '<geom name="wing" type="ellipsoid" size="0.3 0.1 0.01" mass="0" {}/>'
+    air = '<option density="1.2"/>'
+    with pytest.raises(ConfigError):
+        read(tmp_path, vehicle(more=wing.format('fluidshape="ellipsoid"'), head=air))
+    assert read(tmp_path, vehicle(more=wing.format('fluidshape="ellipsoid"'))).robot.num_rotors == 4
+    assert read(tmp_path, vehicle(more=wing.format(""), head=air)).robot.num_rotors == 4
+
+
+def test_what_is_not_used_is_named_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    gimbal = (
+        '<camera name="eye"/><light name="lamp"/><geom name="skin" size="0.1" mass="0" contype="0" conaffinity="0"/>'
+        '<body name="g"><joint name="pan" axis="0 0 1"/><inertial pos="0 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/></body>'
+    )
+    tail = '<sensor><gyro name="gyro" site="s0"/></sensor><keyframe><key name="hover"/></keyframe>'
+    text = vehicle('ctrlrange="0 6" gainprm="2" biastype="affine" biasprm="0 0 -0.3"', more=gimbal, tail=tail)
+    text = text.replace("</actuator>", '<position name="servo" joint="pan" kp="1"/></actuator>')
+    text = text.replace("<freejoint/>", '<joint type="free" damping="0.1" armature="0.01"/>')
+    text = text.replace("<worldbody>", '<worldbody><geom name="floor" type="plane" size="1 1 1"/>')
+    path, out = tmp_path / "robot.xml", tmp_path / "robot.yaml"
+    path.write_text(text)
+    assert main(["import-robot", str(path), "--out", str(out), "--lag-s", "0.05"]) == 0
+    said = capsys.readouterr().err.splitlines()
+    for name in ("eye", "lamp", "skin", "pan", "gyro", "hover", "servo", "damping", "armature", "biasprm[2]", "floor"):
+        assert sum(name in line for line in said) == 1, name
+    header = [line.removeprefix("# ") for line in out.read_text(encoding="utf-8").splitlines() if line[0] == "#"]
+    assert set(said) <= set(header)
+
+
+def test_a_torque_across_the_force_moves_the_thrust_line(tmp_path: Path) -> None:
+    """0.03 N m about x for 1.5 N along z is that force 0.02 m further along y; the axis and the torque ratio stay."""
+    text = vehicle().replace('gear="0 0 1 0 0 -0.02"', 'gear="0 0 1.5 0.03 0 -0.03"', 1)
+    mount = read(tmp_path, text).robot.mounts.layout[0]
+    assert mount.position == pytest.approx((0.14, -0.16, 0.0))
+    assert mount.axis == (0.0, 0.0, 1.0)
+
+
+def test_the_case_of_one_force_range_flies(tmp_path: Path) -> None:
+    path = tmp_path / "robot.xml"
+    path.write_text(vehicle('ctrlrange="0 8" forcerange="0 5"'))
+    assert import_robot(path, LAG).robot.num_rotors == 4
