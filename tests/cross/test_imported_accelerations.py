@@ -90,6 +90,9 @@ def random_actuator(rng: np.random.Generator, name: str) -> str:
     return str(rng.choice(kinds))
 
 
+FREE = '<joint type="free" armature="0.3"/>'
+
+
 def random_mjcf(rng: np.random.Generator) -> str:
     """Return a vehicle of welded bodies whose masses, frames and actuators are drawn, with settings of the compiler."""
     degrees = rng.random() < 0.5
@@ -115,7 +118,7 @@ def random_mjcf(rng: np.random.Generator) -> str:
     )
     hull = (
         f'<body name="hull" pos="{text_of(rng.uniform(-1, 1, 3))}" euler="{text_of(angle * rng.uniform(-3, 3, 3))}">'
-        "<freejoint/>"
+        f"{rng.choice(['<freejoint/>', FREE])}"
         f'{random_inertial(rng, 1.0)}<geom type="ellipsoid" size="0.1 0.08 0.05" density="700"/>{"".join(sites)}{bodies}</body>'
     )
     default = (
@@ -159,7 +162,10 @@ def test_rotors_of_an_mjcf_accelerate_it_as_in_mujoco(seed: int, tmp_path: Path)
     path.write_text(random_mjcf(np.random.default_rng(seed)))
     robot = read_robot(path, RotorHints(lag=0.05), gravity=G).robot
     model = mujoco.MjModel.from_xml_path(str(path))
-    assert robot.body.mass == pytest.approx(model.body_subtreemass[model.body("hull").id], rel=1e-9)
+    mass = (
+        model.body_subtreemass[model.body("hull").id] + model.dof_armature[0]
+    )  # which accelerates, and weighs nothing
+    assert robot.body.mass == pytest.approx(mass, rel=1e-9)
     ends = [extremes(model, mujoco, i) for i in range(model.nu)]
     low, lowest = accelerations(mujoco, model, [a for a, _ in ends])
     turn = Rotation.from_quat(model.qpos0[3:7], scalar_first=True)

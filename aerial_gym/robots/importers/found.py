@@ -5,6 +5,8 @@ Frames: axes and origin of the root link, which become the body's: x forward, y 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -77,6 +79,14 @@ class Found:
     """What is not used and without which the vehicle flies otherwise: wings, joints that tilt rotors. A line each."""
 
 
+def read_xml(path: Path) -> ElementTree.Element:
+    """Return the root of an XML file; raise ``ConfigError`` that names the file if it cannot be read."""
+    try:
+        return ElementTree.parse(path).getroot()
+    except (ElementTree.ParseError, OSError, ValueError, LookupError) as error:  # the last two: an unknown encoding
+        raise ConfigError(f"{path}: not valid XML ({error})") from None
+
+
 def vec3(vector: Sequence[float] | np.ndarray) -> Vec3:
     """Return three floats; what is round-off beside the largest of them is 0."""
     values = np.asarray(vector, dtype=float)
@@ -122,12 +132,17 @@ def number(text: str | None, default: float, where: str) -> float:
     return default if text is None or not text.strip() else numbers(text, 1, where)[0]
 
 
+ON_AXIS = 1e-3
+"""Distance of a thrust line from the axis of a joint [m], and angle between them [rad], below which the rotor spins there."""
+
+
 def tilts(rotor: FoundRotor, kind: str, axis: np.ndarray, position: np.ndarray) -> bool:
     """Return whether a joint that carries a rotor moves the line along which it pushes.
 
     A rotor that spins about its own axis does not: the joint's axis is that line.
     """
-    across = np.linalg.norm(np.cross(axis, rotor.axis))
+    size = float(np.linalg.norm(axis))
+    across = np.linalg.norm(np.cross(axis, rotor.axis)) / size if size > 0.0 else 1.0
     lever = rotor.position - position
     beside = np.linalg.norm(lever - (lever @ rotor.axis) * rotor.axis)
-    return kind not in ("revolute", "continuous", "hinge") or bool(across > 1e-6 or beside > 1e-6)
+    return kind not in ("revolute", "continuous", "hinge") or bool(across > ON_AXIS or beside > ON_AXIS)

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 from aerial_gym.config.controller import ControlCfg
 from aerial_gym.config.joint import JointsCfg
@@ -14,7 +13,7 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots.check import check_robot
 from aerial_gym.robots.importers import mjcf, sdf, urdf
-from aerial_gym.robots.importers.found import Found, FoundRotor, vec3
+from aerial_gym.robots.importers.found import Found, FoundRotor, read_xml, vec3
 from aerial_gym.robots.importers.joints import ENDS
 from aerial_gym.robots.importers.lifted import lifted
 from aerial_gym.robots.importers.shapes import collision_of
@@ -138,10 +137,7 @@ def _joints(found: Found, where: str) -> JointsCfg | None:
 def _found(path: Path, hints: RotorHints) -> tuple[str, Found]:
     if not path.is_file():
         raise ConfigError(f"{path}: no such file")
-    try:
-        root = ElementTree.parse(path).getroot()
-    except ElementTree.ParseError as error:
-        raise ConfigError(f"{path}: not valid XML ({error})") from None
+    root = read_xml(path)
     if path.suffix == ".xacro" or "xacro" in "".join(child.tag for child in root):
         raise ConfigError(f"{path}: is a xacro. Expand it first: xacro {path.name} > robot.urdf")
     if root.tag == "robot":

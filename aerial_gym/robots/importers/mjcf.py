@@ -47,14 +47,16 @@ def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = 
     mujoco.mj_kinematics(model, data)
     reader = _Reader(mujoco, model, data, free[0], where)
     bodies = [b for b in range(model.nbody) if reader.is_part(b)]
+    extra = float(model.dof_armature[int(model.body_dofadr[free[0]])])
     body = weld(
-        [float(model.body_mass[b]) for b in bodies],
-        [reader.frame(data.xipos[b], data.ximat[b]) for b in bodies],
-        [np.diag(model.body_inertia[b]) for b in bodies],
+        [*(float(model.body_mass[b]) for b in bodies), extra],
+        [*(reader.frame(data.xipos[b], data.ximat[b]) for b in bodies), np.eye(4)],
+        [*(np.diag(model.body_inertia[b]) for b in bodies), extra * np.eye(3)],
     )
     reader.find_joints(bodies, moving=joints)
     actuators = [Actuator(mujoco, model, i, where) for i in range(model.nu)]
-    pushing = [one for one in actuators if take_actuators and one.works and not one.turns_joint]
+    own = [one for one in actuators if one.works and one.may_push and reader.pushes_vehicle(one)]
+    pushing = own if take_actuators else []
     for one in pushing:
         one.check()
     rotors = [one.rotor(reader.site(one.site), lag, reader.carrier(model.site_bodyid[one.site])) for one in pushing]
@@ -66,26 +68,27 @@ def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = 
         notes.append(
             f"actuators: {', '.join(left)}" + (" (give their joints drives in the robot file)" if joints else "")
         )
-    sites = [model.site_bodyid[one.site] for one in pushing]
+    lines = [(one.thrust_line(reader.site(one.site)), model.site_bodyid[one.site]) for one in own if one.has_force]
+    weightless = [
+        Weightless(
+            mass=float(model.body_gravcomp[b] * model.body_mass[b]),
+            position=reader.frame(data.xipos[b], data.ximat[b])[:3, 3],
+            link=reader.carrier(b),
+        )
+        for b in bodies
+        if model.body_gravcomp[b]
+    ]
     return Found(
         body=body,
         rotors=rotors,
         shapes=list(reader.shapes()),
         joints=reader.layout(),
-        weightless=[
-            Weightless(
-                mass=float(model.body_gravcomp[b] * model.body_mass[b]),
-                position=reader.frame(data.xipos[b], data.ximat[b])[:3, 3],
-                link=reader.carrier(b),
-            )
-            for b in bodies
-            if model.body_gravcomp[b]
-        ],
+        weightless=[*weightless, Weightless(mass=extra, position=np.zeros(3))] if extra else weightless,
         effects=effects,
         effects_source=f"{where}: delay of its actuators" if effects else "",
-        notes=(*notes, *reader.notes(moving=joints)),
+        notes=(*notes, *reader.notes([one.site for one in pushing], moving=joints)),
         assumed=tuple(by_kind((what, one.name) for one in pushing for what in one.assumed())),
-        losses=tuple(reader.losses(rotors, sites, moving=joints)),
+        losses=tuple(reader.losses(lines, moving=joints)),
     )
 
 
@@ -162,12 +165,12 @@ class _Reader:
         first = int(self._model.body_jntadr[body])
         return [] if body == self._root else list(range(first, first + int(self._model.body_jntnum[body])))
 
-    def losses(self, rotors: Sequence[FoundRotor], bodies: Sequence[int], *, moving: bool) -> Iterator[str]:
-        """Yield wings, and welded joints that move rotors; ``bodies`` carry the rotors, in their order."""
+    def losses(self, lines: Sequence[tuple[FoundRotor, int]], *, moving: bool) -> Iterator[str]:
+        """Yield wings, and welded joints that move rotors, which are given with the bodies that carry them."""
         m, tilting = self._model, {}
         hinge = int(self._mujoco.mjtJoint.mjJNT_HINGE)
         turn, place = self._from_world[:3, :3], self._from_world[:3, 3]
-        for rotor, start in zip(rotors, bodies, strict=True):
+        for rotor, start in lines:
             body = int(start)
             while not moving and body != self._root and body > 0:
                 for j in self._own_joints(body):
@@ -195,8 +198,12 @@ class _Reader:
             own = _shape(kinds, m.geom_type[geom], m.geom_size[geom], m.geom_aabb[geom], pose)
             yield replace(own, link=self.carrier(m.geom_bodyid[geom]))
 
-    def notes(self, *, moving: bool) -> Iterator[str]:
-        """Yield what is not used, a line for each kind."""
+    def pushes_vehicle(self, actuator: Actuator) -> bool:
+        """Return whether what an actuator acts on is on the vehicle."""
+        return not actuator.at_site or self.is_part(int(self._model.site_bodyid[actuator.site]))
+
+    def notes(self, sites: Sequence[int], *, moving: bool) -> Iterator[str]:
+        """Yield what is not used beside actuators, a line for each kind; ``sites`` are those of rotors."""
         m, root = self._model, self._root
         if m.opt.density or m.opt.viscosity:
             yield (
@@ -206,7 +213,6 @@ class _Reader:
         free = slice(int(m.body_dofadr[root]), int(m.body_dofadr[root]) + 6)
         for what, values in (
             ("damping", m.dof_damping),
-            ("armature", m.dof_armature),
             ("frictionloss", m.dof_frictionloss),
         ):
             if np.any(np.asarray(values)[free]):
@@ -216,6 +222,16 @@ class _Reader:
             yield f"joints that are welded: {', '.join(m.joint(j).name or f'joint_{j}' for j in own)}"
         if moving and any(np.any(np.asarray(m.dof_armature)[int(m.jnt_dofadr[j])] > 0.0) for j in own):
             yield "armature of joints: add it to the inertia of their links"
+        for what, chosen in (("actuatorfrcrange", m.jnt_actfrclimited), ("actuatorgravcomp", m.jnt_actgravcomp)):
+            if of := [m.joint(j).name or f"joint_{j}" for j in own if chosen[j]]:
+                yield f"{what} of joints: {', '.join(of)}"
+        off = m.opt.disableflags & int(self._mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+        if off or not np.array_equal(m.opt.gravity, (0.0, 0.0, -9.81)):
+            yield f"gravity of the file, {[0, 0, 0] if off else m.opt.gravity.tolist()} m/s²: the environment's acts"
+        if np.any(m.opt.wind):
+            yield f"wind of the file, {m.opt.wind.tolist()} m/s: give constant_wind as an effect"
+        if others := [s for s in range(m.nsite) if s not in sites]:
+            yield f"sites: {', '.join(m.site(s).name or f'site_{s}' for s in others)}"
         if unseen := [g for g in self._geoms() if not (m.geom_contype[g] or m.geom_conaffinity[g])]:
             yield f"geoms that do not touch: {', '.join(m.geom(g).name or f'geom_{g}' for g in unseen)}"
         if around := [g for g in range(m.ngeom) if g not in self._geoms()]:
@@ -236,6 +252,8 @@ _OTHERS = (
     ("contact exclusions", "nexclude", "exclude"),
     ("plugins", "nplugin", "plugin"),
     ("keyframes", "nkey", "key"),
+    ("skins", "nskin", "skin"),
+    ("flexes", "nflex", "flex"),
     ("custom numbers", "nnumeric", "numeric"),
     ("custom texts", "ntext", "text"),
     ("materials", "nmat", "mat"),

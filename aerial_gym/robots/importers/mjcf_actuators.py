@@ -12,6 +12,7 @@ Source: MuJoCo documentation, XML reference, actuator/general (trntype site, gea
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from math import inf
 from typing import Any
 
@@ -42,9 +43,17 @@ class Actuator:
         ]
 
     @property
-    def turns_joint(self) -> bool:
-        """Whether it acts on a joint."""
-        return self._is("trntype", "mjtTrn", "mjTRN_JOINT", "mjTRN_JOINTINPARENT")
+    def may_push(self) -> bool:
+        """Whether it may push the whole vehicle: at a site, or at its free joint."""
+        if self._is("trntype", "mjtTrn", "mjTRN_JOINT", "mjTRN_JOINTINPARENT"):
+            free = int(self.mujoco.mjtJoint.mjJNT_FREE)
+            return int(self.model.jnt_type[int(self.model.actuator_trnid[self.index][0])]) == free
+        return self._is("trntype", "mjtTrn", "mjTRN_SITE")
+
+    @property
+    def at_site(self) -> bool:
+        """Whether it pushes at a site."""
+        return self._is("trntype", "mjtTrn", "mjTRN_SITE")
 
     @property
     def works(self) -> bool:
@@ -54,9 +63,14 @@ class Actuator:
         off = bool(option.disableflags & int(bits.mjDSBL_ACTUATION))
         return not off and not (0 <= group <= 30 and int(option.disableactuator) >> group & 1)
 
+    @property
+    def has_force(self) -> bool:
+        """Whether it pushes at a site, and gives more than a torque."""
+        return self.at_site and bool(np.any(self._gear()[0]))
+
     def check(self) -> None:
         """Raise ``ConfigError`` if it is no rotor."""
-        if not self._is("trntype", "mjtTrn", "mjTRN_SITE"):
+        if not self.at_site:
             raise ConfigError(f"{self.at}: pushes at no site, and only such actuators are rotors. {WAY_OUT}")
         if int(self.model.actuator_trnid[self.index][1]) >= 0:
             raise ConfigError(
@@ -70,7 +84,7 @@ class Actuator:
                 f"{self.at}: gain and bias must be fixed or affine, and dynamics none, integrator, filter or filterexact. "
                 f"{WAY_OUT}"
             )
-        if not np.any(self._gear()[0]):
+        if not self.has_force:
             raise ConfigError(
                 f"{self.at}: gives a torque and no force, so that it stands for several rotors at once, whose places the file "
                 f"does not tell. {WAY_OUT}"
@@ -80,6 +94,13 @@ class Actuator:
         force, torque = np.split(np.asarray(self.model.actuator_gear[self.index], dtype=float), 2)
         return force, torque
 
+    def thrust_line(self, pose: np.ndarray) -> FoundRotor:
+        """Return where and along what it pushes, for a site whose frame is given, (4, 4)."""
+        force, torque = (pose[:3, :3] @ part for part in self._gear())
+        square = float(force @ force)
+        place = pose[:3, 3] + np.cross(force, torque) / square
+        return FoundRotor(name=self.name, position=place, axis=force / square**0.5)
+
     def rotor(self, pose: np.ndarray, lag: float | None, link: str = BASE) -> FoundRotor:
         """Return the rotor that it is.
 
@@ -88,16 +109,16 @@ class Actuator:
             lag: Of its thrust [s], if the file gives none; None refuses it.
             link: Joint whose link carries the site, or the base.
         """
-        force, torque = (pose[:3, :3] @ part for part in self._gear())
+        force, torque = self._gear()
         low, high = self._range()
-        if high <= 0.0:  # a control below 0 pushes the other way
-            force, torque, low, high = -force, -torque, -high, -low
+        line, turned = self.thrust_line(pose), high <= 0.0  # a control below 0 pushes the other way
+        if turned:
+            low, high = -high, -low
         size = float(np.linalg.norm(force))
         along = float(torque @ force) / size**2
-        return FoundRotor(
-            name=self.name,
-            position=pose[:3, 3] + np.cross(force, torque) / size**2,
-            axis=force / size,
+        return replace(
+            line,
+            axis=-line.axis if turned else line.axis,
             spin=-1 if along > 0.0 else 1,
             rotor=self._type((size * low, size * high), abs(along), lag),
             link=link,

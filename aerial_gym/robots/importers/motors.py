@@ -105,6 +105,9 @@ def _motor(plugin: ElementTree.Element, scope: str, where: str) -> Motor:
             f"{at}: motorType {kind!r}, turningDirection {turning!r}: only motors whose speed is commanded (velocity) and that "
             "turn one way (ccw or cw) can be imported. Write the robot file by hand (docs/rotors.md)"
         )
+    order = number(plugin.findtext("motorNumber"), 0.0, f"{at}: motorNumber")
+    if not order.is_integer():
+        raise ConfigError(f"{at}: motorNumber = {order:g}: must be a whole number")
     value = {name: number(plugin.findtext(name), default, f"{at}: {name}") for name, default in DEFAULTS.items()}
     silent = [name for name in DEFAULTS if not (plugin.findtext(name) or "").strip()]
     rotor = RotorCfg(
@@ -119,7 +122,7 @@ def _motor(plugin: ElementTree.Element, scope: str, where: str) -> Motor:
     return Motor(
         link=link,
         joint=scope + (plugin.findtext("jointName") or "").strip(),
-        number=int(number(plugin.findtext("motorNumber"), 0.0, f"{at}: motorNumber")),
+        number=int(order),
         spin=SPINS[turning],
         rotor=rotor,
         silent=tuple(silent),

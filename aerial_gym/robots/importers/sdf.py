@@ -14,7 +14,7 @@ from aerial_gym.assets.urdf_body import weld
 from aerial_gym.config.robot import BoxCfg, CollisionShape
 from aerial_gym.config.shape import PartCfg, ShapeCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.found import Found, FoundRotor, Weightless, roll_pitch_yaw, tilts, vec3
+from aerial_gym.robots.importers.found import Found, FoundRotor, Weightless, read_xml, roll_pitch_yaw, tilts, vec3
 from aerial_gym.robots.importers.joints import Weight
 from aerial_gym.robots.importers.motors import (
     MOTOR_TAGS,
@@ -68,7 +68,7 @@ _MODEL["model"] = _MODEL
 
 def read(path: Path) -> Found:
     """Return the vehicle of an SDF file: the model with motors, or the first one."""
-    root = ElementTree.parse(path).getroot()
+    root = read_xml(path)
     tree, vehicle = _vehicle(root, path)
     weights = {name: weight_of(tree, name) for name in tree.links}
     if not sum(weight.mass for weight in weights.values()) > 0.0:
@@ -165,8 +165,7 @@ class _Reader:
 
     def __post_init__(self) -> None:
         self._without_shape: list[str] = []
-        tree = self.tree
-        self._above = {child: joint for joint in tree.joints if (child := tree.ends(joint)[1]) is not None}
+        self._ends = {joint: self.tree.ends(joint) for joint in self.tree.joints}
 
     def _moves(self, joint: str) -> bool:
         return self.tree.joints[joint].get("type") != "fixed" and joint not in self.spun
@@ -184,22 +183,22 @@ class _Reader:
             yield f"joint {joint}, which moves {', '.join(names)}, is welded"
 
     def _carriers(self, link: str) -> Iterator[str]:
-        """Yield the moving joints between a link and the root."""
-        seen: set[str] = set()
-        at: str | None = link
-        while at is not None and at not in seen and at in self._above:
-            seen.add(at)
-            joint = self._above[at]
-            if self._moves(joint):
-                yield joint
-            at = self.tree.ends(joint)[0]
+        """Yield the moving joints between a link and the root, whichever of the two is the child."""
+        ways: dict[str, list[str]] = {self.tree.root_link: []}
+        for at in (waiting := [self.tree.root_link]):  # grows while it is walked
+            for joint, (parent, child) in self._ends.items():
+                other = child if at == parent else parent
+                if at in (parent, child) and other is not None and other not in ways:
+                    ways[other] = [*ways[at], joint]
+                    waiting.append(other)
+        yield from (joint for joint in ways.get(link, []) if self._moves(joint))
 
     def notes(self, rotors: Sequence[FoundRotor]) -> Iterator[str]:
         """Yield what of joints, links and shapes is not used."""
         carrying = {joint for rotor in rotors for joint in self._carriers(rotor.name)}
         if welded := [joint for joint in self.tree.joints if self._moves(joint) and joint not in carrying]:
             yield f"joints that are welded: {', '.join(welded)}"
-        if held := [joint for joint in self.tree.joints if None in self.tree.ends(joint)]:
+        if held := [joint for joint, ends in self._ends.items() if None in ends]:
             yield f"joints to the world: {', '.join(held)}"
         if self._without_shape:
             yield f"collision shapes: {', '.join(self._without_shape)}"
@@ -207,7 +206,7 @@ class _Reader:
 
     def welded_loose(self) -> Iterator[str]:
         """Yield the links that no joint connects with the root."""
-        ends = [self.tree.ends(joint) for joint in self.tree.joints]
+        ends = self._ends.values()
         reached, waiting = set(), [self.tree.root_link]
         while waiting:
             link = waiting.pop()

@@ -65,6 +65,8 @@ def weight_of(tree: SdfTree, link: str) -> Weight:
         return _from_shapes(tree, link, inertial)
     at = f"{tree.where}: inertial of {link}"
     mass = number(inertial.findtext("mass"), 1.0, f"{at}: mass")
+    if not mass >= 0.0:
+        raise ConfigError(f"{at}: mass = {mass:g} kg: must be >= 0")
     return Weight(mass=mass, pose=tree.pose_on(inertial, link), inertia=_given(inertial, at))
 
 

@@ -17,7 +17,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.found import numbers, pose_of
+from aerial_gym.robots.importers.found import numbers, pose_of, read_xml
 
 Element = ElementTree.Element
 
@@ -66,6 +66,9 @@ class SdfTree:
 
     roots: list[Element] = field(default_factory=list)
     """Of included files."""
+
+    _within: list[Path] = field(default_factory=list)
+    """Files that include what is being read."""
 
     _places: dict[str, _Place] = field(default_factory=dict)
     _attached: dict[str, str] = field(default_factory=dict)
@@ -117,16 +120,20 @@ class SdfTree:
 
     def _include(self, include: Element, scope: Scope) -> None:
         file = _file_of((include.findtext("uri") or "").strip(), scope.folder, self.where)
-        root = ElementTree.parse(file).getroot()
+        root = read_xml(file)
         model = root.find("model")
         if model is None:
             raise ConfigError(f"{self.where}: includes {file}, which holds no <model>")
+        if file in self._within:
+            raise ConfigError(f"{self.where}: {file} includes itself. Take the include out of it")
+        self._within.append(file)
         self.roots.append(root)
         name = scope.prefix + (include.findtext("name") or model.get("name", "")).strip()
         inner = Scope(f"{name}::", name, file.parent)
         if include.get("merge") in TRUE:
             inner = Scope(scope.prefix, f"{name}::{MODEL}", file.parent)
         self._nest(model, include if include.find("pose") is not None else model, inner, scope)
+        self._within.pop()
         self.plugins += [(inner.prefix, plugin) for plugin in include.findall("plugin")]
 
     def _place(self, name: str, element: Element, scope: Scope, default: str, placement: str | None = None) -> None:

@@ -18,7 +18,7 @@ from aerial_gym.assets.urdf_body import urdf_body
 from aerial_gym.config.robot import CollisionShape
 from aerial_gym.config.shape import BASE, FIRST_INSTANCE_ID, PartCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.found import Found, FoundRotor, Weightless, tilts
+from aerial_gym.robots.importers.found import Found, FoundRotor, Weightless, read_xml, tilts
 from aerial_gym.robots.importers.joints import FoundJoint, Weight, carriers_of, layout_of
 from aerial_gym.robots.importers.motors import (
     MOTOR_TAGS,
@@ -59,7 +59,7 @@ def read(path: Path, rotor_links: str, lag: float | None, *, take_properties: bo
     """
     body, robot = urdf_body(path), read_urdf(path)
     poses = link_poses(robot)
-    root = ElementTree.parse(path).getroot()
+    root = read_xml(path)
     where = f"URDF {path.name}"
     plugins = [("", plugin) for plugin in root.iter("plugin")]
     motors = motors_in(plugins, where)
@@ -74,7 +74,8 @@ def read(path: Path, rotor_links: str, lag: float | None, *, take_properties: bo
         for n in names
     ]
     moves = {joint.name for joint in moving}
-    welded = [j for j in robot.joint_map.values() if j.type != "fixed" and j.name not in spun and j.name not in moves]
+    held = {"fixed"} if _has_mass_above_floating(robot) else {"fixed", "floating"}
+    welded = [j for j in robot.joint_map.values() if j.type not in held and j.name not in spun and j.name not in moves]
     losses = [loss for _, plugin in plugins if (loss := force_left_out(plugin)) is not None]
     tilting = {joint.name: _tilted(joint, rotors, robot, poses) for joint in welded}
     still = [joint.name for joint in welded if not tilting[joint.name]]
@@ -116,6 +117,13 @@ def _unused(root: ElementTree.Element, *, joints: bool) -> Iterator[str]:
     }
     seen = [v for link in root.iter("link") if link.find("collision") is not None for v in link.findall("visual")]
     yield from unused_in(root, used, left_out=[*seen, *(p for p in root.iter("plugin") if not is_motor(p))])
+
+
+def _has_mass_above_floating(robot: "URDF") -> bool:
+    """Return whether a floating joint is within the vehicle: one below a root without mass is its free flight."""
+    parents = [robot.link_map[joint.parent] for joint in robot.joint_map.values() if joint.type == "floating"]
+    children = {joint.child for joint in robot.joint_map.values()}
+    return any(link.name in children or (link.inertial is not None and link.inertial.mass) for link in parents)
 
 
 def _weightless(

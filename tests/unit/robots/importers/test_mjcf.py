@@ -8,6 +8,7 @@ import pytest
 from aerial_gym.cli.main import main
 from aerial_gym.config.robot import load_robot
 from aerial_gym.errors import ConfigError
+from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.importers import Imported, RotorHints, import_robot, read_robot
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[dev]'")
@@ -139,6 +140,7 @@ def test_equal_delays_are_an_effect(tmp_path: Path) -> None:
         vehicle('ctrlrange="0 8" forcerange="9 10"'),
         vehicle('dyntype="integrator" ctrlrange="0 6"'),
         vehicle('kv="2" ctrlrange="0 1"', kind="damper"),
+        vehicle('ctrlrange="0 6"').replace('site="s0"', 'joint="free"').replace("<freejoint", '<freejoint name="free"'),
         vehicle('ctrlrange="0 6" group="3"', head='<option actuatorgroupdisable="3"/>'),
     ],
 )
@@ -179,6 +181,31 @@ def test_a_joint_that_moves_a_thrust_line_is_a_loss(joint: str, tilts: bool, tmp
         assert bent.mounts.layout[0].link == "j"
 
 
+def test_a_joint_counts_also_where_another_robot_gives_the_rotors(tmp_path: Path) -> None:
+    text, like = on_arm('<joint name="j" axis="1 0 0"/>'), ROBOTS.get("x500")
+    with pytest.raises(ConfigError):
+        read(tmp_path, text, RotorHints(rotors_of=like))
+    assert read(tmp_path, text, RotorHints(rotors_of=like, accept_losses=True)).robot.mounts == like.mounts
+
+
+def test_a_fan_beside_the_vehicle_is_no_rotor_of_it(tmp_path: Path) -> None:
+    text = vehicle().replace("<worldbody>", '<worldbody><site name="fan" pos="3 0 0"/>')
+    text = text.replace(
+        "</actuator>", '<motor name="blower" site="fan" gear="1 0 0 0 0 0" ctrlrange="0 9"/></actuator>'
+    )
+    found = read(tmp_path, text)
+    assert found.robot.num_rotors == 4
+    assert any("blower" in note for note in found.notes)
+
+
+def test_armature_of_the_free_joint_is_mass_without_weight(tmp_path: Path) -> None:
+    """As MuJoCo adds it to the mass matrix: 0.2 kg and 0.2 kg m² that accelerate, at the origin of the body."""
+    robot = read(tmp_path, vehicle().replace("<freejoint/>", '<joint type="free" armature="0.2"/>')).robot
+    assert robot.body.mass == pytest.approx(1.2)
+    np.testing.assert_allclose(robot.body.inertia, np.diag((0.21, 0.21, 0.22)))
+    assert robot.effects["buoyancy"]["force"] == pytest.approx(0.2 * 9.81)
+
+
 def test_lifting_bodies_are_a_loss(tmp_path: Path) -> None:
     wing = '<geom name="wing" type="ellipsoid" size="0.3 0.1 0.01" mass="0" {}/>'
     air = '<option density="1.2"/>'
@@ -196,13 +223,13 @@ def test_what_is_not_used_is_named_once(tmp_path: Path, capsys: pytest.CaptureFi
     tail = '<sensor><gyro name="gyro" site="s0"/></sensor><keyframe><key name="hover"/></keyframe>'
     text = vehicle('ctrlrange="0 6" gainprm="2" biastype="affine" biasprm="0 0 -0.3"', more=gimbal, tail=tail)
     text = text.replace("</actuator>", '<position name="servo" joint="pan" kp="1"/></actuator>')
-    text = text.replace("<freejoint/>", '<joint type="free" damping="0.1" armature="0.01"/>')
+    text = text.replace("<freejoint/>", '<joint type="free" damping="0.1"/><site name="spare"/>')
     text = text.replace("<worldbody>", '<worldbody><geom name="floor" type="plane" size="1 1 1"/>')
     path, out = tmp_path / "robot.xml", tmp_path / "robot.yaml"
     path.write_text(text)
     assert main(["import-robot", str(path), "--out", str(out), "--lag-s", "0.05"]) == 0
     said = capsys.readouterr().err.splitlines()
-    for name in ("eye", "lamp", "skin", "pan", "gyro", "hover", "servo", "damping", "armature", "biasprm[2]", "floor"):
+    for name in ("eye", "lamp", "skin", "pan", "gyro", "hover", "servo", "damping", "biasprm[2]", "floor", "spare"):
         assert sum(name in line for line in said) == 1, name
     header = [line.removeprefix("# ") for line in out.read_text(encoding="utf-8").splitlines() if line[0] == "#"]
     assert set(said) <= set(header)

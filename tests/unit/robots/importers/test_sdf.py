@@ -167,6 +167,7 @@ def test_an_automatic_inertial_of_a_mesh_in_its_own_unit(tmp_path: Path) -> None
         shape("polyline", "<point>0 0</point>"),
         shape("box", BOX, 0.0),
         shape("mesh", "<uri>gone.dae</uri>"),
+        shape("box", BOX, -5.0),
     ],
 )
 def test_an_automatic_inertial_without_a_volume_is_refused(content: str, tmp_path: Path) -> None:
@@ -300,6 +301,7 @@ GIMBAL = (
         (TILT.format("0 1 0"), "arm"),
         (TILT.format("0 0 1"), "arm"),  # a rotor off its axis goes round it
         (TILT.format("0 0 1").replace("revolute", "prismatic"), "arm"),
+        (TILT.format("0 1 0").replace("<parent>base</parent><child>arm", "<parent>arm</parent><child>base"), "arm"),
         (WING.format("gz::sim::systems::LiftDrag"), "base"),
         (WING.format("left_wing").replace("gz-sim-lift-drag-system", "libLiftDragPlugin.so"), "base"),
         (WING.format("gz::sim::systems::AdvancedLiftDrag"), "base"),
@@ -351,3 +353,42 @@ def test_what_is_not_used_is_named_once_on_stderr_and_in_the_file(
     header = [line for line in out.read_text(encoding="utf-8").splitlines() if line.startswith("#")]
     assert set(said) <= {line.removeprefix("# ") for line in header}
     assert load_robot(out).num_rotors == 4
+
+
+INCLUDE = '<sdf version="1.9"><model name="{}"><include><uri>model://{}</uri></include></model></sdf>'
+
+
+@pytest.mark.parametrize(
+    "models",
+    [
+        {"one": INCLUDE.format("one", "one")},
+        {"one": INCLUDE.format("one", "two"), "two": INCLUDE.format("two", "one")},
+        {"two": "<sdf", "one": INCLUDE.format("one", "two")},
+        {"two": '<?xml version="1.0" encoding="none"?><sdf/>', "one": INCLUDE.format("one", "two")},
+        {"one": vehicle().replace("<motorNumber>0", "<motorNumber>nan")},
+        {"one": vehicle().replace("<motorNumber>0", "<motorNumber>0.5")},
+        {"one": vehicle("<inertial><mass>-1</mass></inertial>")},
+        {"one": vehicle("<inertial><mass>nan</mass></inertial>")},
+        {"one": vehicle('<pose rotation_format="quat_xyzw">0 0 0 0 0 0 0</pose>')},
+        {"one": vehicle('<pose rotation_format="quat_xyzw" degrees="true">0 0 0 0 0 0 1</pose>')},
+        {"one": vehicle('<pose rotation_format="other">0 0 0 0 0 0</pose>')},
+        {"one": vehicle(attributes='canonical_link="none"')},
+    ],
+)
+def test_broken_files_are_refused(models: dict[str, str], tmp_path: Path) -> None:
+    """Also those that include themselves; without a traceback, so as a wrong request."""
+    path = write(tmp_path, **models)
+    if "two" in models:
+        path = tmp_path / "one" / "model.sdf"
+    assert main(["import-robot", str(path), "--out", str(tmp_path / "out.yaml")]) == 2
+
+
+def test_the_frame_of_the_canonical_link_is_that_of_the_body(tmp_path: Path) -> None:
+    more = f'<link name="low"><pose>0 0 -0.1 0 0 0</pose>{SMALL}</link>'
+    plain, moved = (read(tmp_path, vehicle(more=more, attributes=a)).robot for a in ("", 'canonical_link="low"'))
+    np.testing.assert_allclose(np.array(moved.body.com) - plain.body.com, (0.0, 0.0, 0.1), atol=1e-9)
+
+
+def test_a_joint_with_an_axis_of_zero_that_carries_a_rotor_is_a_loss(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError):
+        read(tmp_path, vehicle(more=TILT.format("0 0 0"), parent="arm"), RotorHints())

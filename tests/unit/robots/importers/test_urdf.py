@@ -69,12 +69,17 @@ def test_properties_are_named_where_another_robot_gives_the_rotors(tmp_path: Pat
     assert sum("kf" in note and "drag_coeff" in note for note in found.notes) == 1
 
 
+ARM = (
+    '<link name="arm"><inertial><mass value="0.001"/><inertia ixx="1e-7" iyy="1e-7" izz="1e-7" ixy="0" ixz="0" iyz="0"/>'
+    "</inertial></link>"
+)
+
+
 def tilting(kind: str = "revolute", axis: str = "0 1 0") -> str:
     """Return the Crazyflie with its first propeller on an arm that turns."""
     limit = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
     arm = (
-        '<link name="arm"><inertial><mass value="0.001"/><inertia ixx="1e-7" iyy="1e-7" izz="1e-7" ixy="0" ixz="0" iyz="0"/>'
-        f'</inertial></link><joint name="tilt" type="{kind}"><parent link="base_link"/><child link="arm"/>'
+        f'{ARM}<joint name="tilt" type="{kind}"><parent link="base_link"/><child link="arm"/>'
         f'<axis xyz="{axis}"/>{limit}</joint>'
     )
     first = '<parent link="base_link"/><child link="prop0_link"/>'
@@ -96,6 +101,16 @@ def test_wings_and_tilting_joints_are_losses(text: str, tmp_path: Path) -> None:
     assert not out.exists()
     assert main([*given, "--accept-losses"]) == 0
     assert load_robot(out).joints is None
+
+
+def test_a_floating_joint_to_a_world_without_mass_is_free_flight(tmp_path: Path) -> None:
+    world = (
+        '<link name="world"/><joint name="free" type="floating"><parent link="world"/><child link="base_link"/></joint>'
+    )
+    assert read(tmp_path, cf2x().replace("</robot>", f"{world}</robot>")).robot.num_rotors == 4
+    heavy = world.replace("world", "arm").replace('<link name="arm"/>', ARM)
+    with pytest.raises(ConfigError):
+        read(tmp_path, cf2x().replace("</robot>", f"{heavy}</robot>"))
 
 
 def test_a_joint_that_moves_is_no_loss(tmp_path: Path) -> None:
