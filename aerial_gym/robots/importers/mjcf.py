@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from aerial_gym.assets.urdf_body import weld
+from aerial_gym.assets.urdf_body import RigidBody, weld
 from aerial_gym.config.joint import JointCfg
 from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionShape, SphereCfg
 from aerial_gym.config.shape import BASE
@@ -31,85 +31,96 @@ def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = 
         take_actuators: Whether its actuators are the rotors.
         joints: Whether hinges and slides move.
     """
+    mujoco, model, where = _loaded(path)
+    free = [int(model.jnt_bodyid[j]) for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE]
+    if len(free) != 1:
+        raise ConfigError(f"{where}: has {len(free)} bodies with a free joint: a vehicle is the one of a file")
+    reader = _Reader(mujoco, model, free[0], where)
+    if joints:
+        reader.find_joints()
+    actuators = [Actuator(mujoco, model, i, where) for i in range(model.nu)]
+    own = [one for one in actuators if one.works and one.may_push and reader.pushes_vehicle(one)]
+    pushing = own if take_actuators else []
+    for one in pushing:
+        one.check()
+    lines = [(one.thrust_line(reader.site(one.site)), model.site_bodyid[one.site]) for one in own if one.has_force]
+    delays = sorted({one.delay for one in pushing})
+    delayed = len(delays) == 1 and delays[0] > 0.0
+    left = [one.name for one in actuators if one not in pushing]
+    return Found(
+        body=reader.body(),
+        rotors=[one.rotor(reader.site(one.site), lag, reader.carrier(model.site_bodyid[one.site])) for one in pushing],
+        shapes=list(reader.shapes()),
+        joints=reader.layout(),
+        weightless=list(reader.weightless()),
+        effects={"actuation_delay": {"delay": delays[0]}} if delayed else {},
+        effects_source=f"{where}: delay of its actuators" if delayed else "",
+        notes=(
+            *by_kind((note, one.name) for one in pushing for note in one.notes()),
+            *([f"delays of actuators, which differ: {delays} s"] if len(delays) > 1 else []),
+            *([f"actuators, which push no rotor: {', '.join(left)}"] if left else []),
+            *reader.notes([one.site for one in pushing], moving=joints),
+        ),
+        assumed=tuple(by_kind((what, one.name) for one in pushing for what in one.assumed())),
+        losses=tuple(reader.losses(lines, moving=joints)),
+    )
+
+
+def _loaded(path: Path) -> tuple[Any, Any, str]:
+    """Return MuJoCo, the model in a file, and the name of the file in messages."""
     try:
         import mujoco
     except ImportError:
         raise ConfigError(f"MJCF {path}: needs MuJoCo; install aerial-gym[dev], or pip install mujoco") from None
     where = f"MJCF {path.name}"
     try:
-        model: Any = mujoco.MjModel.from_xml_path(str(path))
+        return mujoco, mujoco.MjModel.from_xml_path(str(path)), where
     except ValueError as error:
         raise ConfigError(f"{where}: cannot be read ({' '.join(str(error).split())})") from None
-    free = [int(model.jnt_bodyid[j]) for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE]
-    if len(free) != 1:
-        raise ConfigError(f"{where}: has {len(free)} bodies with a free joint: a vehicle is the one of a file")
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    reader = _Reader(mujoco, model, data, free[0], where)
-    bodies = [b for b in range(model.nbody) if reader.is_part(b)]
-    extra = float(model.dof_armature[int(model.body_dofadr[free[0]])])
-    body = weld(
-        [*(float(model.body_mass[b]) for b in bodies), extra],
-        [*(reader.frame(data.xipos[b], data.ximat[b]) for b in bodies), np.eye(4)],
-        [*(np.diag(model.body_inertia[b]) for b in bodies), extra * np.eye(3)],
-    )
-    reader.find_joints(bodies, moving=joints)
-    actuators = [Actuator(mujoco, model, i, where) for i in range(model.nu)]
-    own = [one for one in actuators if one.works and one.may_push and reader.pushes_vehicle(one)]
-    pushing = own if take_actuators else []
-    for one in pushing:
-        one.check()
-    rotors = [one.rotor(reader.site(one.site), lag, reader.carrier(model.site_bodyid[one.site])) for one in pushing]
-    delays = {one.delay for one in pushing}
-    effects = {"actuation_delay": {"delay": delays.pop()}} if len(delays) == 1 and delays != {0.0} else {}
-    notes = list(by_kind((note, one.name) for one in pushing for note in one.notes()))
-    notes += [f"delays of actuators, which differ: {sorted(delays)} s"] if len(delays) > 1 else []
-    if left := [one.name for one in actuators if one not in pushing]:
-        notes.append(
-            f"actuators: {', '.join(left)}" + (" (give their joints drives in the robot file)" if joints else "")
-        )
-    lines = [(one.thrust_line(reader.site(one.site)), model.site_bodyid[one.site]) for one in own if one.has_force]
-    weightless = [
-        Weightless(
-            mass=float(model.body_gravcomp[b] * model.body_mass[b]),
-            position=reader.frame(data.xipos[b], data.ximat[b])[:3, 3],
-            link=reader.carrier(b),
-        )
-        for b in bodies
-        if model.body_gravcomp[b]
-    ]
-    return Found(
-        body=body,
-        rotors=rotors,
-        shapes=list(reader.shapes()),
-        joints=reader.layout(),
-        weightless=[*weightless, Weightless(mass=extra, position=np.zeros(3))] if extra else weightless,
-        effects=effects,
-        effects_source=f"{where}: delay of its actuators" if effects else "",
-        notes=(*notes, *reader.notes([one.site for one in pushing], moving=joints)),
-        assumed=tuple(by_kind((what, one.name) for one in pushing for what in one.assumed())),
-        losses=tuple(reader.losses(lines, moving=joints)),
-    )
 
 
 class _Reader:
     """One vehicle of a model."""
 
-    def __init__(self, mujoco: Any, model: Any, data: Any, root: int, where: str) -> None:
-        self._mujoco, self._model, self._data, self._root, self._where = mujoco, model, data, root, where
+    def __init__(self, mujoco: Any, model: Any, root: int, where: str) -> None:
+        self._mujoco, self._model, self._root, self._where = mujoco, model, root, where
+        self._data = data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        self._bodies = [b for b in range(model.nbody) if self.is_part(b)]
+        self._armature = float(model.dof_armature[int(model.body_dofadr[root])])
         self._from_world = np.linalg.inv(_pose(data.xpos[root], data.xmat[root]))
         self._joints: list[FoundJoint] = []
         self._on: dict[int, str] = {}
 
-    def find_joints(self, bodies: list[int], *, moving: bool) -> None:
-        """Take hinges and slides if they move, and which of them moves each body: the last one of a body with several."""
-        if not moving:
-            return
+    def body(self) -> RigidBody:
+        """Return all bodies as one; the armature of the free joint is a point at the origin that resists turning as well."""
+        m, extra = self._model, self._armature
+        return weld(
+            [*(float(m.body_mass[b]) for b in self._bodies), extra],
+            [*(self._center(b) for b in self._bodies), np.eye(4)],
+            [*(np.diag(m.body_inertia[b]) for b in self._bodies), extra * np.eye(3)],
+        )
+
+    def weightless(self) -> Iterator[Weightless]:
+        """Yield what accelerates and weighs nothing: bodies with gravity compensation, and the armature."""
+        for b in self._bodies:
+            mass = float(self._model.body_gravcomp[b] * self._model.body_mass[b])
+            if mass:
+                yield Weightless(mass=mass, position=self._center(b)[:3, 3], link=self.carrier(b))
+        if self._armature:
+            yield Weightless(mass=self._armature, position=np.zeros(3))
+
+    def _center(self, body: int) -> np.ndarray:
+        """Return the frame of a body's centre of mass in that of the vehicle, (4, 4)."""
+        return self.frame(self._data.xipos[body], self._data.ximat[body])
+
+    def find_joints(self) -> None:
+        """Take hinges and slides, and which of them moves each body: the last one of a body with several."""
         m, kinds = self._model, self._mujoco.mjtJoint
-        for body in bodies:  # parents come first
+        for body in self._bodies:  # parents come first
             at = self._on.get(int(m.body_parentid[body]), BASE)
             own = self._own_joints(body)
-            pose = self.frame(self._data.xipos[body], self._data.ximat[body])
+            pose = self._center(body)
             weight = Weight(mass=float(m.body_mass[body]), pose=pose, inertia=np.diag(m.body_inertia[body]))
             for j in own:
                 if int(m.jnt_type[j]) not in (int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE)):

@@ -37,7 +37,13 @@ _NAMES = ("jointName", "linkName", "motorNumber", "turningDirection", "motorType
 MOTOR_TAGS: Tags = {name: {} for name in (*_NAMES, *DEFAULTS)}
 """Elements of a motor plugin that are read."""
 
-AERODYNAMICS = {"liftdrag": "wings or blades", "thruster": "thruster"}
+AERODYNAMICS = {
+    "liftdrag": "wings or blades",
+    "thruster": "thruster",
+    "lighterthanair": "envelope of a blimp",
+    "hydrodynamics": "water",
+    "buoyancy": "buoyancy",
+}
 """Plugins whose forces are left out, by a part of their names, and what gives these forces."""
 
 

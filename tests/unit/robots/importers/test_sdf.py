@@ -306,6 +306,7 @@ GIMBAL = (
         (WING.format("left_wing").replace("gz-sim-lift-drag-system", "libLiftDragPlugin.so"), "base"),
         (WING.format("gz::sim::systems::AdvancedLiftDrag"), "base"),
         (WING.format("gz::sim::systems::Thruster").replace("lift-drag", "thruster"), "base"),
+        (WING.format("gz::sim::systems::LighterThanAir").replace("lift-drag", "lighter_than_air"), "base"),
     ],
 )
 def test_wings_and_tilting_joints_are_losses(more: str, parent: str, tmp_path: Path) -> None:
