@@ -7,9 +7,10 @@ After a step without contact, each sphere that overlaps a surface gets an impuls
 where g < 0 is its gap and v its normal speed before, du the change of the velocity of its contact point by all impulses, so
 that spring and damper act at the *end* of the step. Friction is the impulse that ends the slip, at most ``mu p`` (Coulomb).
 Position and attitude follow by ``s dt`` times the change of velocity: s = 1 with semi-implicit Euler, which moves with the
-velocity at the end of a step, s = 1/2 with RK4, in which a force held over a step moves the body by half of it. A vehicle at
-rest therefore stays where it is. Spring, damper and gravity never add energy to a body that hits a plane without turning,
-since the potential is convex: ``V(g') - V(g) <= V'(g') (g' - g)``.
+velocity at the end of a step, s = 1/2 with RK4, in which a force held over a step moves the body by half of it, and with Euler
+under added mass, which applies forces half way. A vehicle at rest therefore stays where it is. Spring, damper and gravity
+never add energy to a body that hits a plane without turning, since the potential is convex:
+``V(g') - V(g) <= V'(g') (g' - g)``.
 
 All contacts of a body are found together: with the branches held (pushing or not, sticking or sliding along a direction),
 the impulses are linear in the six changes of velocity, which are solved for; then the branches are chosen anew. What sticks has
@@ -53,6 +54,11 @@ POSITION_SHARE = {"euler": 1.0, "rk4": 0.5}
 """s by integrator: which part of ``dt`` times a change of velocity has moved the body at the end of the step."""
 
 
+def position_share(integrator: str, *, in_fluid: bool) -> float:
+    """Return s, which is 1/2 for a vehicle with added mass (``integrators.euler_in_fluid``)."""
+    return 0.5 if in_fluid else POSITION_SHARE[integrator]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Contacts:
     """Where a body may touch surfaces at rest, after a step without contact."""
@@ -80,7 +86,7 @@ def push(
         model: Mass and inertia.
         state: Motion after a step of ``dt`` [s] without contact.
         dt: Length of the step [s].
-        share: Entry of ``POSITION_SHARE``.
+        share: From ``position_share``.
     """
     mass = model.vehicle.mass
     rotation = quat_to_matrix(state.attitude)

@@ -98,7 +98,7 @@ def push_off_ground(
         before: Motion at the start of the step, whose velocities say how fast the vehicle comes.
         after: Motion at its end, without contact.
         dt: Length of the step [s].
-        share: Entry of ``contact.POSITION_SHARE``.
+        share: From ``contact.position_share``.
     """
     contacts = ground_contacts(ground, model, after)
     crashes = crash_at(contacts, cfg, before, after)

@@ -269,8 +269,25 @@ def with_load(
     if not model.effects[LoadEffect]:
         return acc, ang_acc, load[:, :0]
     force, torque, swing = pull_of_load(model, attitude, ang_vel, load, acc, ang_acc)
-    acc = acc + force / model.vehicle.mass.unsqueeze(-1)
+    acc = acc + hull_force(model, attitude, force) / model.vehicle.mass.unsqueeze(-1)
     return acc, ang_acc + multiply_rows(model.inertia_inverse, torque), swing
+
+
+def hull_force(model: Model, attitude: Tensor, force: Tensor) -> Tensor:
+    """Return the force [N] that would accelerate the hull alone as ``force`` does hull and fluid, world, (E, 3)."""
+    if not model.effects[FluidEffect]:
+        return force
+    mass = model.vehicle.mass.unsqueeze(-1)
+    share = mass / (mass + _added_mass(model))
+    return quat_rotate(attitude, share * quat_rotate_inverse(attitude, force))
+
+
+def _added_mass(model: Model) -> Tensor:
+    """Return the mass of fluid that moves with the hull along each body axis [kg], (E, 3)."""
+    added = torch.zeros_like(model.vehicle.com)
+    for effect, params in model.effects[FluidEffect]:
+        added = added + effect.added_mass(params)
+    return added
 
 
 def pull_of_load(
@@ -294,7 +311,7 @@ def suspension_at(model: Model, attitude: Tensor, acceleration: Tensor) -> Suspe
     """Return how the body origin yields to a load, which without one would accelerate so [m/s²], world, (E, 3)."""
     cross = _skew(-model.vehicle.com)
     mobility = -cross @ model.inertia_inverse @ cross
-    mobility = mobility + torch.eye(3, dtype=cross.dtype, device=cross.device) / model.vehicle.mass[:, None, None]
+    mobility = mobility + torch.diag_embed(1.0 / (model.vehicle.mass.unsqueeze(-1) + _added_mass(model)))
     rotation = quat_to_matrix(attitude)
     return Suspension(acceleration=acceleration, mobility=rotation @ mobility @ rotation.mT, gravity=model.gravity)
 

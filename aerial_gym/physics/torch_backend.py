@@ -19,8 +19,8 @@ from aerial_gym.physics.articulated.flight import check_jointed, jointed_step
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.backend import Capabilities, ControlLaw
-from aerial_gym.physics.contact import POSITION_SHARE
-from aerial_gym.physics.effects import LoadEffect
+from aerial_gym.physics.contact import position_share
+from aerial_gym.physics.effects import FluidEffect, LoadEffect
 from aerial_gym.physics.ground import Ground, push_off_ground, touches_ground
 from aerial_gym.physics.integrators import INTEGRATORS, MassState, Stepper, to_body_state, to_mass_state
 from aerial_gym.physics.law_memory import (
@@ -186,7 +186,7 @@ class TorchBackend:
             check_jointed(integrator, ground, self.capabilities)
         self._stepper, self._control, self._ground = self.make_stepper(integrator), control, ground
         self._hook = hook
-        self._share = POSITION_SHARE[integrator]
+        self._share = position_share(integrator, in_fluid=bool(model.effects[FluidEffect]))
         self._memory, self.law_memory, self._random, self._crept = None, None, random, None
         self._places: tuple[dict[str, Tensor], ...] = ({}, {}, {})
         self.set_model(model)

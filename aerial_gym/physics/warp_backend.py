@@ -19,8 +19,8 @@ from aerial_gym.math.random import Randomness
 from aerial_gym.physics.articulated.flight import check_jointed
 from aerial_gym.physics.articulated.fused.kernel import make_jointed_kernel
 from aerial_gym.physics.backend import Capabilities, ControlLaw
-from aerial_gym.physics.contact import POSITION_SHARE
-from aerial_gym.physics.effects import EFFECTS, Effect, LearnedResidual, LoadEffect
+from aerial_gym.physics.contact import position_share
+from aerial_gym.physics.effects import EFFECTS, Effect, FluidEffect, LearnedResidual, LoadEffect
 from aerial_gym.physics.fused.contact import contact_parameters
 from aerial_gym.physics.fused.dynamics import STAGES
 from aerial_gym.physics.fused.gradient import Rollout
@@ -200,10 +200,11 @@ class WarpBackend:
         impulse = ground.impulse
         if impulse is None:  # nobody reads it
             impulse = torch.zeros(self._num_envs if ground.cfg is not None else 1, 3, device=self._device)
+        share = position_share(self._integrator, in_fluid=bool(self._model.effects[FluidEffect]))
         return _GroundArrays(
             wp.from_torch(ground.spheres, dtype=wp.vec4),
             ground.height,
-            contact_parameters(ground.cfg, POSITION_SHARE[self._integrator]),
+            contact_parameters(ground.cfg, share),
             wp.from_torch(ground.contact),
             wp.from_torch(impulse, dtype=wp.vec3),
         )

@@ -12,7 +12,8 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics import SubstepHook
+from aerial_gym.physics import EFFECTS, SubstepHook
+from aerial_gym.physics.effects import FluidEffect
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.state import BodyState
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
@@ -89,10 +90,19 @@ class Pushing:
                 crashes_out=around.crashes,
                 moving=around.moving,
             )
+        in_fluid = any(EFFECTS.get(name).kind is FluidEffect for name in robot.effects)
+        pushed = PushedRobot(
+            mass=mass,
+            inertia=inertia,
+            com=com,
+            spheres=self._spheres,
+            shapes=robot.collision.shapes,
+            in_fluid=in_fluid,
+        )
         return SceneContact(
             scene,
             contact,
-            PushedRobot(mass=mass, inertia=inertia, com=com, spheres=self._spheres, shapes=robot.collision.shapes),
+            pushed,
             state,
             integrator=sim.integrator,
             dt=sim.dt,

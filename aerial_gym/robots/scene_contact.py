@@ -25,7 +25,7 @@ from aerial_gym.config.robot import CollisionShape
 from aerial_gym.errors import ShapeError
 from aerial_gym.interop import RecordedLaunch, on_torch_stream
 from aerial_gym.physics import BodyState
-from aerial_gym.physics.contact import POSITION_SHARE
+from aerial_gym.physics.contact import position_share
 from aerial_gym.physics.fused.contact import (
     ContactParameters,
     contact_parameters,
@@ -180,6 +180,9 @@ class PushedRobot:
     shapes: tuple[CollisionShape, ...] = ()
     """The shapes whose contact points these are; without any there are spheres alone."""
 
+    in_fluid: bool = False
+    """Whether it has added mass."""
+
 
 class SceneContact:
     """Contact of one robot per environment with the obstacles, with all views made at construction; a ``SubstepHook``."""
@@ -207,7 +210,7 @@ class SceneContact:
             cfg: How it pushes back.
             robot: What is pushed.
             state: Its motion, written in place where it touches something.
-            integrator: Stepper of the physics, an entry of ``contact.POSITION_SHARE``.
+            integrator: Stepper of the physics, by name.
             dt: Length of a substep [s].
             crashes_out: Set, bool, (E,), where it touches at the speed of a crash; never cleared here.
             impulse_out: Receives the sum of the impulses [N s], world, (E, 3); never cleared here.
@@ -221,7 +224,8 @@ class SceneContact:
         self._scene, self._robot, self._state, self._dt = scene, robot, state, dt
         self._first = (torch.zeros_like(state.lin_vel), torch.zeros_like(state.ang_vel))
         around = SceneSurroundings()
-        around.scene, around.law = scene.arrays, contact_parameters(cfg, POSITION_SHARE[integrator])
+        share = position_share(integrator, in_fluid=robot.in_fluid)
+        around.scene, around.law = scene.arrays, contact_parameters(cfg, share)
         around.motion = scene_motion(scene)
         around.sphere = wp.from_torch(robot.spheres, dtype=wp.vec4)
         self._cores = has_cores(robot.shapes)

@@ -32,6 +32,19 @@ class AddedMass(FluidEffect):
     instead = ("link_added_mass",)
     medium = "water"
 
+    def added_mass(self, params: Tensor) -> Tensor:
+        """Return the parameters."""
+        return params
+
+    def warp_added_mass(self) -> wp.Function:
+        """Return the same in Warp."""
+
+        @wp.func
+        def mass_of(params: wp.vec3) -> wp.vec3:
+            return params
+
+        return mass_of
+
     def entrain(self, wrench: Tensor, condition: Condition, gravity: float, params: Tensor) -> Tensor:
         """Return ``S (F + N) + (1 - S) m g up`` with ``S = m / (m + M_A)``, and ``tau - v x (M_A v)``."""
         mass, v, w = condition.vehicle.mass.unsqueeze(-1), condition.air_velocity, condition.ang_vel

@@ -501,12 +501,23 @@ def linear_wrench(regressor: Tensor, params: Tensor) -> Tensor:
 
 
 class FluidEffect(Effect):
-    """Fluid that a body sets in motion with it: it changes the accelerations that all forces together give. One at most."""
+    """Fluid that a body sets in motion with it: it changes the accelerations that all forces together give. One at most.
+
+    The body then has another mass along each of its axes, and moves by Kirchhoff's equations (``physics.kirchhoff``).
+    """
 
     acts_on = "inertia"
     twin = "warp_entrain"
     rotors = ANY_ROTOR
     on_joints = False
+
+    @abstractmethod
+    def added_mass(self, params: Tensor) -> Tensor:
+        """Return the mass of the fluid along each body axis [kg], (E, 3), from parameters (E, P)."""
+
+    def warp_added_mass(self) -> wp.Function | None:
+        """Return the twin of ``added_mass``, a ``wp.func`` (params: vector of P) -> wp.vec3, or None: torch backend only."""
+        return None
 
     @abstractmethod
     def entrain(self, wrench: Tensor, condition: Condition, gravity: float, params: Tensor) -> Tensor:

@@ -17,6 +17,7 @@ from aerial_gym.physics.fused.functions import (
     small_turn,
     unit_quat,
 )
+from aerial_gym.physics.fused.kirchhoff import make_coast, make_inverse_mass
 from aerial_gym.physics.fused.loads import make_loads
 from aerial_gym.physics.fused.packing import pickers, values_type
 from aerial_gym.physics.fused.rotors import make_follow, make_stage_rates
@@ -97,7 +98,8 @@ def _make_hang(model: Model) -> wp.Function | None:
     effect = model.effects[LoadEffect][0][0]
     pull, pick = effect.warp_pull(Suspension), pickers(model)[LoadEffect][0].get
     types, params_type = rotor_types(model.vehicle.num_rotors, not model.vehicle.plain), values_type(model)
-    vehicle_type = types.vehicle
+    vehicle_type, any_fluid = types.vehicle, bool(model.effects[FluidEffect])
+    inverse_mass = make_inverse_mass(model) if any_fluid else None
 
     @wp.func
     def hang(
@@ -114,14 +116,20 @@ def _make_hang(model: Model) -> wp.Function | None:
         cross = wp.skew(lever)
         rotation = rotation_matrix(attitude)
         mobility = vehicle.mass_inverse * wp.identity(n=3, dtype=float) - cross * vehicle.inertia_inverse * cross
+        if wp.static(any_fluid):
+            mobility = wp.diag(inverse_mass(vehicle, params)) - cross * vehicle.inertia_inverse * cross
         at = Suspension()
         at.acceleration = acc + rotate(attitude, wp.cross(ang_acc, lever) + wp.cross(ang_vel, wp.cross(ang_vel, lever)))
         at.mobility = rotation * mobility * wp.transpose(rotation)
         at.gravity = gravity
         force, swing = pull(at, load, pick(params))
-        torque = wp.cross(lever, rotate_inverse(attitude, force))
+        own = rotate_inverse(attitude, force)
+        torque = wp.cross(lever, own)
+        more = vehicle.mass_inverse * force
+        if wp.static(any_fluid):
+            more = rotate(attitude, wp.cw_mul(inverse_mass(vehicle, params), own))
         return (
-            acc + vehicle.mass_inverse * force,
+            acc + more,
             ang_acc + vehicle.inertia_inverse * torque,
             wp.spatial_vector(wp.spatial_bottom(load), swing),
         )
@@ -151,6 +159,8 @@ def make_stepper(model: Model, integrator: str, *, upright: bool) -> wp.Function
         bool(model.effects[LoadEffect]),
     )
     follow = make_follow(num_rotors, general, late)
+    if integrator == "euler" and model.effects[FluidEffect]:
+        return _make_euler_in_fluid(*parts, follow, *make_coast(model))
     if integrator == "euler":
         return _make_euler(*parts, follow)
     return _make_rk4(
@@ -198,6 +208,59 @@ def _make_euler(
         return position + dt * v, unit_quat(attitude * small_turn(dt * w)), v, w, rotors, hung
 
     return euler
+
+
+def _make_euler_in_fluid(
+    vehicle_type: Any,
+    vector: Any,
+    command_type: Any,
+    params_type: Any,
+    accelerations: wp.Function,
+    any_load: bool,
+    follow: wp.Function,
+    coast: wp.Function,
+    free_accelerations: wp.Function,
+) -> wp.Function:
+    """Return ``integrators.euler_in_fluid`` of one environment."""
+
+    @wp.func
+    def swing_on(load: wp.spatial_vector, dt: float) -> wp.spatial_vector:
+        rate = wp.spatial_bottom(load)
+        return settle(wp.spatial_vector(wp.spatial_top(load) + dt * rate, rate))
+
+    @wp.func
+    def euler_in_fluid(
+        vehicle: vehicle_type,
+        params: params_type,
+        gravity: float,
+        position: wp.vec3,
+        attitude: wp.quat,
+        lin_vel: wp.vec3,
+        ang_vel: wp.vec3,
+        rotor_speed: vector,
+        load: wp.spatial_vector,
+        command: command_type,
+        dt: float,
+    ):
+        half = 0.5 * dt
+        rotors = follow(vehicle, rotor_speed, command, dt)
+        spin_up = (1.0 / dt) * (rotors - rotor_speed)
+        x, q, v, w = coast(vehicle, params, position, attitude, lin_vel, ang_vel, half)
+        hung = load
+        if wp.static(any_load):
+            hung = swing_on(load, half)
+        acc, ang_acc, swing = accelerations(vehicle, params, gravity, x, q, v, w, rotors, spin_up, hung)
+        free_acc, free_ang_acc = free_accelerations(vehicle, params, x, q, v, w)
+        pushed = v + dt * (acc - free_acc)
+        turning = w + dt * (ang_acc - free_ang_acc)
+        end_x, end_q, end_v, end_w = coast(vehicle, params, x, q, pushed, turning, half)
+        ends = hung
+        if wp.static(any_load):
+            rate = wp.spatial_bottom(hung) + dt * wp.spatial_bottom(swing)
+            ends = swing_on(wp.spatial_vector(wp.spatial_top(hung), rate), half)
+        return end_x, end_q, end_v, end_w, rotors, ends
+
+    return euler_in_fluid
 
 
 def _make_rk4(

@@ -17,13 +17,22 @@ from torch import Tensor
 
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.rotor import ROTOR_TRAITS
-from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
+from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics.articulated.touching import sphere_gaps
 from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.backend import Capabilities
-from aerial_gym.physics.effects import LoadEffect
+from aerial_gym.physics.effects import FluidEffect, LoadEffect
 from aerial_gym.physics.ground import Ground, crash_at, ground_contacts, is_crash
-from aerial_gym.physics.integrators import MassState, Stepper, held_wrench, swing_on, to_body_state, to_mass_state
+from aerial_gym.physics.integrators import (
+    MassState,
+    Stepper,
+    coast,
+    free_wrench,
+    held_wrench,
+    swing_on,
+    to_body_state,
+    to_mass_state,
+)
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.mujoco.bodies import Bodies, body_rows, load
 from aerial_gym.physics.mujoco.cpu.rollout_bodies import RolloutBodies
@@ -31,7 +40,7 @@ from aerial_gym.physics.mujoco.cpu.rollout_trees import RolloutTrees
 from aerial_gym.physics.mujoco.mjcf import Floor
 from aerial_gym.physics.mujoco.warp.warp_bodies import WarpBodies
 from aerial_gym.physics.mujoco.warp.warp_trees import WarpTrees
-from aerial_gym.physics.rigid_body import angular_acceleration, com_acceleration, pull_of_load
+from aerial_gym.physics.rigid_body import angular_acceleration, com_acceleration, hull_force, pull_of_load
 from aerial_gym.physics.rotor_lag import RotorCommand
 from aerial_gym.physics.state import BodyState, JointedState
 from aerial_gym.physics.torch_backend import TorchBackend
@@ -61,8 +70,12 @@ class MujocoBackend(TorchBackend):
     _bodies: Bodies | None = None
     _engine_of_trees: type[RolloutTrees] | type[WarpTrees] = RolloutTrees
     _trees: RolloutTrees | WarpTrees | None = None
-    _force: Tensor
-    """Of the last substep but gravity and contact [N], body at its start, (E, 3)."""
+    _start: MassState
+    """Motion from which MuJoCo last began a step of a rigid vehicle."""
+    _free_vel: Tensor
+    """Velocity after that step had nothing been touched [m/s], world, (E, 3)."""
+    _end_vel: Tensor
+    """Velocity after that step [m/s], world, (E, 3)."""
 
     def prepare(self, dt: float) -> None:
         """Make the memory of effects and control law, and MuJoCo's models."""
@@ -91,17 +104,33 @@ class MujocoBackend(TorchBackend):
 
     @torch.no_grad()
     def _move(self, model: Model, state: MassState, rotor_command: RotorCommand, dt: float) -> MassState:
-        """Return the motion after ``dt`` [s]: a ``Stepper``."""
+        """Return the motion after ``dt`` [s]: a ``Stepper``.
+
+        In a fluid MuJoCo applies the impulses of forces and contact, between two halves of ``coast``.
+        """
+        if not model.effects[FluidEffect]:
+            return self._push(model, state, rotor_command, dt)
+        middle = coast(model, state, 0.5 * dt)
+        end = self._push(model, middle, rotor_command, dt)
+        return coast(model, replace(end, position=middle.position, attitude=middle.attitude), 0.5 * dt)
+
+    def _push(self, model: Model, state: MassState, rotor_command: RotorCommand, dt: float) -> MassState:
+        """Return the motion after MuJoCo's step; in a fluid its velocities alone count, and a load has not moved yet."""
         rotor_speed, (force, torque) = held_wrench(model, state, rotor_command, dt)
-        load = state.load
+        load, fluid = state.load, bool(model.effects[FluidEffect])
         if model.effects[LoadEffect]:
             acc = com_acceleration(model, state.attitude, force)
             ang_acc = angular_acceleration(model, state.ang_vel, torque)
             pull, turn, swing = pull_of_load(model, state.attitude, state.ang_vel, load, acc, ang_acc)
+            pull = hull_force(model, state.attitude, pull)
             force, torque = force + quat_rotate_inverse(state.attitude, pull), torque + turn
-            load = swing_on(load, swing, dt)
-        self._force = force
+            load = torch.cat((load[:, :3], load[:, 3:] + dt * swing), dim=-1) if fluid else swing_on(load, swing, dt)
+        if fluid:
+            free_force, free_torque = free_wrench(model, state)
+            force, torque = force - free_force, torque - free_torque
+        self._start, self._free_vel = state, state.lin_vel + dt * com_acceleration(model, state.attitude, force)
         moved = self._bodies_for(model, dt).move(state, force, torque)
+        self._end_vel = moved["lin_vel"]
         return MassState(**moved, rotor_speed=rotor_speed, load=load)
 
     def _bodies_for(self, model: Model, dt: float) -> Bodies:
@@ -118,17 +147,15 @@ class MujocoBackend(TorchBackend):
     ) -> tuple[MassState, BodyState, Tensor, Tensor]:
         """Return the motion before and the state after one substep, the impulse of the ground (E, 3), and which crash (E,).
 
-        The impulse is what Newton's equation lacks: ``m (v' - v) - dt (R f + m g)``; exactly zero where nothing touches.
+        The impulse is ``m`` times what contact adds to the velocity in the step of MuJoCo; exactly zero where nothing touches.
         """
         if self._model.articulation is not None:
             assert isinstance(state, JointedState)
             return self._bend_on_ground(ground, cfg, state, command, dt)
         before, after = self._free_substep(state, command, dt)
         mass = self._model.vehicle.mass.unsqueeze(-1)
-        free = quat_rotate(before.attitude, self._force) / mass
-        free[:, 2] -= self._model.gravity
-        touches = (ground_contacts(ground, self._model, before).gap < 0.0).any(dim=1, keepdim=True)
-        impulse = torch.where(touches, mass * (after.lin_vel - before.lin_vel - dt * free), 0.0)
+        touches = (ground_contacts(ground, self._model, self._start).gap < 0.0).any(dim=1, keepdim=True)
+        impulse = torch.where(touches, mass * (self._end_vel - self._free_vel), 0.0)
         crashes = crash_at(ground_contacts(ground, self._model, after), cfg, before, after)
         return before, to_body_state(self._model, after), impulse, crashes
 

@@ -1,0 +1,77 @@
+"""Free motion of a hull and the water that it sets in motion: Kirchhoff's equations by the implicit midpoint rule.
+
+With mass ``M = m + M_A`` along the body axes, v through water in steady uniform motion and no force::
+
+    p' = p x w,    l' = l x w + p x v,    p = M v,    l = J w        body axes
+
+Impulse ``R p``, its moment ``R l + x x R p`` and the energy ``(p . v + l . w) / 2`` are constant. The midpoint rule keeps what
+is quadratic in p and l. With the Cayley rotation of its mean w, and the place that follows, it keeps all three for every step.
+Source: Lamb (1932), Hydrodynamics, articles 121-124; Hairer, Lubich, Wanner (2006), Geometric Numerical Integration, IV.2.1
+(quadratic invariants); Cayley rotation and place: derived. With ``a = dt w / 2`` the rotation is ``(1 - [a])^-1 (1 + [a])``.
+"""
+
+import torch
+from torch import Tensor
+
+from aerial_gym.physics.rigid_body import multiply_rows
+
+ITERATIONS = 3
+"""Newton steps for the mean angular velocity. Each squares the error, which begins at ``dt / 2`` times the acceleration."""
+
+cross = torch.linalg.cross
+
+
+def coasted(
+    mass: Tensor, inertia: Tensor, lin_vel: Tensor, ang_vel: Tensor, dt: float
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return how a step without force changes the motion. Changes are small, so that float32 keeps what is conserved.
+
+    Args:
+        mass: Of hull and water along the body axes [kg], (E, 3).
+        inertia: Of hull and water about the centre of mass [kg m²], (E, 3, 3).
+        lin_vel: Velocity of the centre of mass through the water [m/s], body, (E, 3).
+        ang_vel: Angular velocity [rad/s], body, (E, 3).
+        dt: Length of the step [s].
+
+    Returns:
+        In body axes of the start what the displacement is beyond that at the velocity of the start [m], (E, 3), and the change
+        of the velocity [m/s], (E, 3); the quaternion of the rotation, not normalised, xyzw, (E, 4); the angular velocity at the
+        end [rad/s], body axes of the end, (E, 3).
+    """
+    mean = _mean_ang_vel(mass, inertia, lin_vel, ang_vel, dt)
+    a = 0.5 * dt * mean
+    square = (a * a).sum(-1, keepdim=True)
+    more = -cross(a, _turned_half(a, mass * lin_vel)) / mass  # of the mean velocity, body axes that turn
+    end = lin_vel + 2.0 * more
+    move = dt / (1.0 + square) * (more + cross(a, lin_vel + more) - square * lin_vel)
+    gain = 2.0 * more + 2.0 / (1.0 + square) * (cross(a, end) + cross(a, cross(a, end)))
+    return move, gain, torch.cat((a, torch.ones_like(square)), dim=-1), 2.0 * mean - ang_vel
+
+
+def _mean_ang_vel(mass: Tensor, inertia: Tensor, lin_vel: Tensor, ang_vel: Tensor, dt: float) -> Tensor:
+    """Return the mean angular velocity of a step without force [rad/s], body, (E, 3), by Newton's method."""
+    half, impulse, spin, mean = 0.5 * dt, mass * lin_vel, multiply_rows(inertia, ang_vel), ang_vel
+    unit = torch.eye(3, dtype=mass.dtype, device=mass.device).expand(mass.shape[0], 3, 3)
+    for _ in range(ITERATIONS):
+        turned, momentum = _turned_half(half * mean, impulse), multiply_rows(inertia, mean)
+        v = turned / mass
+        missing = momentum - spin + half * (cross(mean, momentum) + cross(v, turned))
+        w, p, v, spun = (rows.unsqueeze(1) for rows in (mean, turned, v, momentum))  # (E, 1, 3)
+        more = half * _turned_half(half * w, cross(p, unit))
+        gyroscopic = cross(unit, spun) + cross(w, inertia)
+        slopes = inertia + half * (gyroscopic + cross(more / mass.unsqueeze(1), p) + cross(v, more))
+        mean = mean - _solve(slopes, missing)
+    return mean
+
+
+def _turned_half(a: Tensor, vector: Tensor) -> Tensor:
+    """Return ``(1 + [a])^-1 b``, (..., 3): the mean of b and of ``(1 + [a])^-1 (1 - [a]) b``."""
+    along = (a * vector).sum(-1, keepdim=True) * a
+    return (vector - cross(a, vector) + along) / (1.0 + (a * a).sum(-1, keepdim=True))
+
+
+def _solve(columns: Tensor, right: Tensor) -> Tensor:
+    """Return x with ``x_1 c_1 + x_2 c_2 + x_3 c_3 = right``, (E, 3), for columns c_j (E, 3, 3) in rows: Cramer's rule."""
+    a, b, c = columns.unbind(1)
+    parts = (right * cross(b, c), a * cross(right, c), a * cross(b, right))
+    return torch.stack([part.sum(-1) for part in parts], dim=-1) / (a * cross(b, c)).sum(-1, keepdim=True)
