@@ -9,6 +9,7 @@ from rich.console import Console
 
 from aerial_gym.cli.process import started_at
 from aerial_gym.errors import ConfigError
+from aerial_gym.interop.preload import import_beside
 from aerial_gym.lazy import no_garbage
 
 if TYPE_CHECKING:
@@ -91,11 +92,7 @@ class TrainCmd:
     def run(self) -> int:
         """Train and print where the policy lies; return the exit status, 1 if it was interrupted."""
         with no_garbage():
-            import warp  # noqa: F401  # first, as a thread loads PyTorch's libraries meanwhile (``cli.process``)
-
-            import aerial_gym.config.environment
-            import aerial_gym.config.robot
-            import aerial_gym.config.task  # noqa: F401
+            import_beside()
             from aerial_gym.rl_training.ranks import launched_rank
             from aerial_gym.rl_training.run.run_folder import RunFolder
             from aerial_gym.rl_training.settings import load_settings, settings_for

@@ -7,8 +7,12 @@ import ctypes
 import os
 import sys
 import threading
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+
+BESIDE = ("warp", "aerial_gym.config.environment", "aerial_gym.config.robot", "aerial_gym.config.task")
+"""Modules that take long to import and do not need PyTorch."""
 
 
 def preload(device: str | None) -> threading.Thread:
@@ -24,6 +28,12 @@ def preload(device: str | None) -> threading.Thread:
     if sys.platform == "linux":
         thread.start()
     return thread
+
+
+def import_beside() -> None:
+    """Import modules that do not need PyTorch, while the thread of ``preload`` loads PyTorch's libraries."""
+    for name in BESIDE:
+        import_module(name)
 
 
 def _load(index: int | None) -> None:

@@ -72,17 +72,12 @@ def _run_task(asked: argparse.Namespace, note: Callable[[str], None]) -> dict[st
 
 def _run_training(asked: argparse.Namespace, note: Callable[[str], None]) -> dict[str, object]:
     """Train for ``--train-s`` after the first iteration; the evaluation is not timed."""
-    from aerial_gym.interop.preload import preload
+    from aerial_gym.interop.preload import import_beside, preload
     from aerial_gym.lazy import no_garbage
 
     preload(asked.device)
     with no_garbage():
-        import warp  # noqa: F401
-
-        import aerial_gym.config.environment
-        import aerial_gym.config.robot
-        import aerial_gym.config.task  # noqa: F401
-
+        import_beside()
         note("warp")
         import torch
 

@@ -64,3 +64,11 @@ def test_a_machine_without_a_driver_is_none_the_worse() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_what_is_imported_beside_does_not_import_torch() -> None:
+    code = (
+        "import sys; from aerial_gym.interop.preload import import_beside; import_beside(); "
+        "assert 'warp' in sys.modules and 'torch' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
