@@ -1,15 +1,16 @@
-"""The blade-element rotor against its limits: hover, climb, windmill brake, signs, symmetry, power.
+"""The blade-element rotor against integrals of its blade elements, its limits and tunnel tests.
 
 A rotor of radius 0.1 m turns at 800 rad/s; ``rho pi R² (w R)²`` is the unit of its coefficients. All cases are one rotor on the
 vertical axis of a body, unless something else is said, so that what the body feels is what the rotor does.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import pi, sqrt
 
 import numpy as np
 import pytest
 import torch
+from scipy.optimize import brentq, minimize_scalar
 
 from aerial_gym.config.robot import BodyCfg, MountCfg, MountsCfg, RobotCfg, RotorCfg
 from aerial_gym.errors import ConfigError
@@ -35,13 +36,13 @@ PROFILE = TORQUE - INFLOW * THRUST
 VALUES = {"share": 1.0, "solidity": 0.1, "lift_slope": 5.7, "twist": TWIST, "lock": 0.7, "flap_frequency": 900.0}
 
 
-def one_rotor(*, spin: int = 1, reversible: bool = False, torque: float = TORQUE) -> RobotCfg:
+def one_rotor(*, spin: int = 1, reversible: bool = False, thrust: float = THRUST, torque: float = TORQUE) -> RobotCfg:
     square = UNIT / SPEED**2
     return RobotCfg(
         summary="one rotor",
         body=BodyCfg(mass=0.3, inertia=((1e-3, 0.0, 0.0), (0.0, 1e-3, 0.0), (0.0, 0.0, 1e-3)), source="test"),
         rotor=RotorCfg(
-            thrust_map=(0.0, 0.0, THRUST * square),
+            thrust_map=(0.0, 0.0, thrust * square),
             torque_map=(0.0, 0.0, torque * square * RADIUS),
             time_constant_up=0.03,
             time_constant_down=0.03,
@@ -55,10 +56,16 @@ def one_rotor(*, spin: int = 1, reversible: bool = False, torque: float = TORQUE
 
 
 def loads(
-    velocity: list[float], *, speed: float = SPEED, spin: int = 1, reversible: bool = False, **changes: float
+    velocity: list[float],
+    *,
+    speed: float = SPEED,
+    spin: int = 1,
+    reversible: bool = False,
+    thrust: float = THRUST,
+    **changes: float,
 ) -> np.ndarray:
     """Return force and torque on the body, (6,), in units of the rotor, its own among them; ``velocity`` per tip speed."""
-    robot = one_rotor(spin=spin, reversible=reversible)
+    robot = one_rotor(spin=spin, reversible=reversible, thrust=thrust, torque=TORQUE * (thrust / THRUST) ** 1.5)
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
     model = build_model(vehicle, effects_of({"blade_element": VALUES | changes}, 1))
     state = random_state(1)
@@ -173,27 +180,76 @@ def test_sideways_flow_is_glauerts() -> None:
         assert ((f / exact - 1.0).abs() < 0.1).all()
 
 
-@pytest.mark.parametrize("velocity", [[0.1, 0.0, 0.0], [0.0, 0.2, 0.02], [0.1, -0.1, -0.03], [-0.3, 0.1, 0.05]])
+def integrated(inflow: float, mu: float, *, lock: float, stiffness: float, harmonics: int) -> np.ndarray:
+    """Return thrust, force against the motion and to the side of 90 degrees azimuth, torque, and the means of spring moments.
+
+    Integrals of blade elements over radius (Gauss) and azimuth. Flapping, ``b'' + (1 + k) b = lock / 2 M``, is linear in b: it
+    is solved at 32 azimuths for some harmonics (Galerkin). The profile drag is that of the torque map; ``stiffness`` is k.
+    """
+    count = 32
+    azimuth = 2.0 * pi * np.arange(count) / count
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    r, weights = 0.5 * (nodes + 1.0), 0.5 * weights
+    wave = np.fft.fftfreq(count, 1.0 / count)[:, None] * 1j
+    wave[count // 2] = 0.0
+    slope, bend = (np.real(np.fft.ifft(power * np.fft.fft(np.eye(count), axis=0), axis=0)) for power in (wave, wave**2))
+    sine, cosine = np.sin(azimuth)[:, None], np.cos(azimuth)[:, None]
+    across, pitch = r + mu * sine, ROOT + TWIST * r
+    steady = ((pitch * across**2 - inflow * across) * r) @ weights
+    by_rate, by_angle = (across * r**2) @ weights, (mu * cosine * across * r) @ weights
+    matrix = bend + (1.0 + stiffness) * np.eye(count) + 0.5 * lock * (by_rate[:, None] * slope + np.diag(by_angle))
+    orders = np.arange(1, harmonics + 1)
+    basis = np.hstack((np.ones_like(sine), np.cos(orders * azimuth[:, None]), np.sin(orders * azimuth[:, None])))
+    flap = basis @ np.linalg.solve(basis.T @ matrix @ basis, basis.T @ (0.5 * lock * steady))
+    through = inflow + r * (slope @ flap)[:, None] + mu * flap[:, None] * cosine
+    lift = pitch * across**2 - through * across
+    drag = (pitch * across - through) * through + 8.0 * PROFILE / LIFT * across**2
+    loads = (
+        lift,
+        drag * sine - lift * flap[:, None] * cosine,
+        -drag * cosine - lift * flap[:, None] * sine,
+        drag * r,
+        2.0 * stiffness / lock * flap[:, None] * cosine,
+        2.0 * stiffness / lock * flap[:, None] * sine,
+    )
+    return 0.5 * LIFT * np.array([float(((load + 0.0 * r) @ weights).mean()) for load in loads])
+
+
+@pytest.mark.parametrize("lock", [0.7, 4.0])
 @pytest.mark.parametrize("flap", [0.0, 900.0, 9e4])
-def test_power_is_in_balance(velocity: list[float], flap: float) -> None:
-    """``C_Q + mu C_H = lambda C_T + P0 (1 + 3 mu²)``: of the shaft and of the pull, into the wake and against drag."""
-    found = loads(velocity, flap_frequency=flap)
-    mu = sqrt(velocity[0] ** 2 + velocity[1] ** 2)
-    pull = -(found[0] * velocity[0] + found[1] * velocity[1])
-    inflow = inflow_of(found[2], mu)
-    assert -found[5] + pull == pytest.approx(inflow * found[2] + PROFILE * (1.0 + 3.0 * mu**2), rel=1e-9)
-    assert pull > 0.0
+@pytest.mark.parametrize(("mu", "climb"), [(0.05, 0.0), (0.15, 0.0), (0.3, 0.0), (0.1, 0.05), (0.1, -0.02)])
+def test_forces_are_those_of_an_integration_over_radius_and_azimuth(
+    mu: float, climb: float, flap: float, lock: float
+) -> None:
+    """At the inflow that gives the thrust, which in level flight is Glauert's.
+
+    Flapping of one harmonic: exact. Of all harmonics: within 4 % of a force and 2 % of the H-force.
+    """
+    found = loads([mu, 0.0, climb], flap_frequency=flap, lock=lock)
+    for harmonics in (1, 12):
+        at = {"mu": mu, "lock": lock, "stiffness": (flap / SPEED) ** 2, "harmonics": harmonics}
+
+        def missing(inflow: float, at: dict[str, float] = at) -> float:
+            return integrated(inflow, **at)[0] - found[2]
+
+        inflow = brentq(missing, -0.2, 0.4, xtol=1e-14)
+        thrust, back, side, torque, spring_back, spring_side = integrated(inflow, **at)
+        if climb == 0.0 and harmonics == 1:
+            assert 2.0 * inflow * sqrt(mu**2 + inflow**2) == pytest.approx(thrust, rel=1e-3)
+        expected = np.array([-back, -side, thrust, -spring_side, spring_back, -torque])
+        rtol, atol = (1e-7, 1e-9) if harmonics == 1 else (0.04, 0.02 * abs(back))
+        np.testing.assert_allclose(found, expected, rtol=rtol, atol=atol)
 
 
 def test_a_hinged_rotor_leans_back_and_a_stiff_one_rolls() -> None:
-    """Forwards, counter-clockwise from above: the right side advances. Hinged: an H-force larger by ``8 m_s mu C_T``, no
-    moment. Stiff: the lift of the right side turns the body to the left, negatively about x, by ``s a / 2 m_s mu``."""
+    """Forwards, counter-clockwise from above: the right side advances. Hinged: more H-force and no moment. Stiff: the lift of
+    the right side turns the body to the left, negatively about x, by ``s a / 2 m_s mu``."""
     mu = 0.1
     hinged, stiff = (loads([mu, 0.0, 0.0], flap_frequency=flap) for flap in (0.0, 1e5))
     inflow = inflow_of(hinged[2], mu)
     uneven = THETA - 0.25 * inflow
     blades = 0.25 * LIFT * inflow * (ROOT + 0.5 * TWIST) + 2.0 * PROFILE
-    np.testing.assert_allclose(hinged[:2], [-mu * (blades + 8.0 * uneven * hinged[2]), 0.0], atol=1e-12)
+    assert hinged[0] < -mu * (blades + 5.0 * uneven * hinged[2])
     np.testing.assert_allclose(hinged[3:5], 0.0, atol=1e-12)
     # k / g = (1e5 / 800)² / 0.0875 = 1.8e5
     np.testing.assert_allclose(stiff[:2], [-mu * blades, 0.0], atol=1e-7)
@@ -202,6 +258,64 @@ def test_a_hinged_rotor_leans_back_and_a_stiff_one_rolls() -> None:
     assert between[1] > 0.0  # between the two the right side is up as well, and thrust leans to the left
     assert between[3] < 0.0
     assert between[4] < 0.0  # the nose goes up
+
+
+@dataclass(frozen=True)
+class Propeller:
+    """A propeller of the UIUC database: thrust coefficients ``T / (rho n² D⁴)`` at rest and at advance ratios ``V / (n D)``."""
+
+    solidity: float
+    """Of the chord at 3/4 of the radius: blades times c / (pi R)."""
+
+    static: float
+    """Mean over the speeds of the static test."""
+
+    tunnel: tuple[tuple[float, float], ...]
+
+    def errors(self, slope: float, *, static: float | None = None) -> np.ndarray:
+        """Return predicted less measured loss of static thrust [percentage points] at each advance ratio."""
+        static = static or self.static
+        thrust = static * 4.0 / pi**3  # in the unit of the rotor
+        found = [
+            loads([0.0, 0.0, ratio / pi], thrust=thrust, solidity=self.solidity, lift_slope=slope)[2] / thrust
+            for ratio, _ in self.tunnel
+        ]
+        return 100.0 * (np.array([c for _, c in self.tunnel]) / static - np.array(found))
+
+
+PROPELLERS = {
+    "APC Slow Flyer 10x4.7": Propeller(0.125, 0.1185, ((0.378, 0.0698), (0.599, 0.0176))),  # 6513 rpm
+    "Micro Invent 5x4": Propeller(0.160, 0.1799, ((0.094, 0.182), (0.564, 0.0799))),  # 6057 rpm
+    "DA4052 5x3.75": Propeller(0.175, 0.1483, ((0.163, 0.139), (0.571, 0.0476))),  # 7044 rpm
+}
+"""Two, three and three blades. Source: UIUC propeller database, volumes 1 and 2 (Brandt, Deters, Ananda, Selig)."""
+
+
+@pytest.mark.parametrize(
+    ("third", "limit"), [("Micro Invent 5x4", 10.0), ("DA4052 5x3.75", 11.0), ("APC Slow Flyer 10x4.7", 15.0)]
+)
+def test_a_lift_slope_of_two_propellers_predicts_the_climb_of_a_third(third: str, limit: float) -> None:
+    """One number is fitted, the lift slope. The first case is within 10 points of the loss; the others say what is missing."""
+    others = [propeller for name, propeller in PROPELLERS.items() if name != third]
+
+    def misfit(slope: float) -> float:
+        return float(sum((one.errors(slope) ** 2).sum() for one in others))
+
+    slope = minimize_scalar(misfit, bounds=(1.5, 6.5), method="bounded", options={"xatol": 0.01}).x
+    assert 3.0 < slope < 3.6
+    assert np.abs(PROPELLERS[third].errors(slope)).max() < limit
+
+
+def test_the_default_lift_slope_is_within_ten_points_of_all_three() -> None:
+    default = EFFECTS.get("blade_element").neutral(one_rotor())[2]
+    assert max(np.abs(one.errors(default)).max() for one in PROPELLERS.values()) < 10.0
+
+
+def test_beside_static_thrust_at_the_same_speed_losses_agree_better() -> None:
+    """Static coefficients grow with the speed: 0.1299 of the APC at 6528 rpm. A lift slope of 4 is then within 7 points."""
+    points = ((0.089, 0.1201), (0.199, 0.1019), (0.308, 0.0833), (0.378, 0.0704), (0.445, 0.0562), (0.599, 0.0176))
+    apc = replace(PROPELLERS["APC Slow Flyer 10x4.7"], tunnel=points)
+    assert np.abs(apc.errors(4.0, static=0.1299)).max() < 7.0
 
 
 def test_the_mirror_image_flies_the_mirror_image() -> None:

@@ -4,30 +4,38 @@ The effect adds what blades in moving air give beyond what the maps of the robot
 turns at w moves through the air with ``lambda_c`` along its thrust n and with the vector m, of size mu, in its plane, both in
 units of its tip speed w R. Forces are in units of ``rho pi R² (w R)²``, torques of that times R; 0 marks hover at the same w::
 
-    C_T = s a / 2 (Theta + mu² (t0 / 2 + t1 / 4) - lambda / 2),        Theta = t0 / 3 + t1 / 4,    lambda = lambda_c + lambda_i
-    h   = s a / 4 lambda (t0 + t1 / 2) + 2 P0,                         P0 = C_Q0 - lambda_0 C_T0
-    M   = s a / 2 m_s,                                                 m_s = t0 / 3 + t1 / 4 - lambda / 4
-    b_c = -8 m_s g² / (g² + k²),   b_s = 8 m_s g k / (g² + k²),        g = lock / 8,   k = (flap_frequency / w)²
-    C_Q = lambda C_T + P0 (1 + 3 mu²) - mu² (h - C_T b_c)
+    C_T = s a / 2 (Theta + mu² T / 2 - lambda / 2),     Theta = t0 / 3 + t1 / 4,  T = t0 + t1 / 2,  lambda = lambda_c + lambda_i
+    b_0 = 4 g / (1 + k) (t0 / 4 + t1 / 5 + mu² (t0 / 4 + t1 / 6) - lambda / 3),   g = lock / 8,   k = (flap_frequency / w)²
+    k b_s - g (1 - mu² / 2) b_c = 8 g (Theta - lambda / 4),                       k b_c + g (1 + mu² / 2) b_s = -4 / 3 g b_0
+    C_H = s a / 2 (lambda T / 2 - b_c (Theta - 3/4 lambda) + b_0 (b_0 / 4 + b_s / 6) + mu² b_c² / 4) + 2 P0
+    C_Y = s a / 2 (-b_s (Theta - 3/4 lambda) - b_0 (3/4 t0 + t1 / 2 - 3/2 lambda + b_c / 6)
+                   + mu² (b_0 b_c + b_c b_s / 4 - b_s T / 2))
+    C_Q = lambda C_T + P0 (1 + 3 mu²) - mu² C_H,        P0 = C_Q0 - lambda_0 C_T0
 
-for blades of solidity s, lift slope a, and pitch ``t0 + t1 r`` at the share r of the radius, which stall nowhere. The pitch
-follows from the thrust map (``Theta = 2 C_T0 / (s a) + lambda_0 / 2``) and the profile drag from the torque map (P0), so that
-a vehicle at rest in still air is just as declared. ``lambda_i`` is that of ``induced_flow`` for the thrust C_T. The force on
-the hub is
+for blades of solidity s, lift slope a, and pitch ``t0 + t1 r`` at the share r of the radius, which stall nowhere. They flap by
+``b_0 + mu (b_c cos psi + b_s sin psi)``, with psi from downstream. ``-b_c C_T`` is the thrust that leans back with the disc;
+``b_c s a lambda / 8`` of it is lost, as flapping changes the drag in the plane. The pitch follows from the thrust map
+(``Theta = 2 C_T0 / (s a) + lambda_0 / 2``) and the profile drag from the torque map (P0): a vehicle at rest in still air is
+just as declared. ``lambda_i`` is that of ``induced_flow`` for the thrust C_T. The force on the hub is
 
-    C_T n - h m + C_T (b_c m - b_s o (m x n))      o = +1 where the rotor turns counter-clockwise about n, else -1
+    C_T n - C_H m + o C_Y (m x n)      o = +1 where the rotor turns counter-clockwise about n, else -1
 
-(thrust, H-force, and the thrust that leans with the disc), and the hub feels the drag torque ``-o C_Q n`` and the moment of
-blades that resist their flapping, ``M k / (g² + k²) (g m x n - k o m)``. Stiff blades (k >> g) pass the lift of the advancing
-side on as a moment to the side, hinged ones (k = 0) lean back by ``8 m_s mu``. Power is in balance,
-``C_Q + mu C_H = lambda C_T + P0 (1 + 3 mu²)`` with the whole force C_H against m. Between hover and the windmill brake state
-the induced velocity is the measured mean of the vortex ring (``induced_flow``); thrust against n has no induced velocity.
-Left out: reverse flow and stall (beyond mu = 1 or ``|lambda_c|`` = 1 coefficients stay what they are there), coning, a lag of
-the inflow, its slope across the disc, tip loss, and turning of the hub but for the velocity that it gives it.
-Source: Leishman (2006), Principles of Helicopter Aerodynamics, sections 3.2-3.3, 4.5 (flapping), 5.2; Bramwell, Done,
-Balmford (2001), Bramwell's Helicopter Dynamics, chapter 3; of small propellers Gill, D'Andrea (2017), Propeller thrust and
-drag in forward flight, IEEE CCTA. Stiff blades: derived, first harmonic of the flapping of a blade on a spring at the hub,
-first order in mu.
+and the hub feels the drag torque ``-o C_Q n`` and the moment of blades that resist their flapping,
+``-s a / 2 k / (8 g) (b_c m x n + o b_s m)``. Stiff blades (k >> g) pass the lift of the advancing side on as a moment to the
+side, hinged ones (k = 0) lean back. Power is in balance, ``C_Q + mu² C_H = lambda C_T + P0 (1 + 3 mu²)``. The integrals over
+radius and azimuth are exact for small angles and flapping of one harmonic. Between hover and the windmill brake state the
+induced velocity is the measured mean of the vortex ring (``induced_flow``); thrust against n has no induced velocity.
+Left out: reverse flow and stall (beyond mu = 1 or ``|lambda_c|`` = 1 coefficients stay what they are there), higher harmonics
+of flapping, a lag of the inflow, its slope across the disc, tip loss, and turning of the hub but for its velocity.
+
+In a climb only the product s a matters. With s from the chord at 3/4 of the radius, the lift slope that fits the loss of
+thrust of three tested propellers best is 3.3 (``docs/rotors.md``), not the 5.7 of a thin section: blades are short, slow and
+partly stalled at rest.
+Source: Leishman (2006), Principles of Helicopter Aerodynamics, sections 3.2-3.3, 4.5 (flapping), 5.2; Johnson (1980),
+Helicopter Theory, chapter 5; Bramwell, Done, Balmford (2001), Bramwell's Helicopter Dynamics, chapter 3; of small propellers
+Gill, D'Andrea (2017), Propeller thrust and drag in forward flight, IEEE CCTA. Forces and flapping: derived, by integration of
+``s a / 2 (theta U_T² - U_P U_T)`` and ``s a / 2 (theta U_T - U_P) U_P``. Climbs: UIUC propeller database (Brandt, Deters,
+Ananda, Selig).
 """
 
 from math import pi
@@ -119,7 +127,7 @@ class BladeElement(WrenchEffect):
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return nothing of it, for a plastic propeller of two blades: as in the sources of ``docs/rotors.md``."""
         del robot
-        return 0.0, 0.1, 5.7, -0.25, 0.7, 900.0
+        return 0.0, 0.1, 3.3, -0.45, 0.4, 900.0
 
     def check(self, robot: RobotCfg) -> None:
         """Raise ``ConfigError`` unless radii are known and drag torques are above what thrust costs an ideal rotor."""
@@ -166,24 +174,29 @@ class BladeElement(WrenchEffect):
         inflow = climb + _inflow(lift, lifted, climb, mu)
         thrust = 0.5 * lift * (lifted - 0.5 * inflow)
         profile = hover_torque - hover_inflow * hover_thrust
-        drag = 0.25 * lift * inflow * (root + 0.5 * twist) + 2.0 * profile
-        uneven = theta - 0.25 * inflow
-        g, k = 0.125 * lock, (flap / rate).square()
-        lean = 8.0 * uneven * g / (g * g + k * k)
-        back, aside = -lean * g, lean * k
-        torque = inflow * thrust + profile * (1.0 + 3.0 * mu.square()) - mu.square() * (drag - thrust * back)
-        stiff = 0.5 * lift * uneven * k / (g * g + k * k) * unit * radius
+        square, g, k = mu.square(), 0.125 * lock, (flap / rate).square()
+        whole, uneven, tilted = root + 0.5 * twist, theta - 0.25 * inflow, theta - 0.75 * inflow
+        coning = 0.25 * root + 0.2 * twist + square * (0.25 * root + twist / 6.0) - inflow / 3.0
+        coning = 4.0 * g * coning / (1.0 + k)
+        resists = 1.0 / (k * k + g * g * (1.0 - 0.25 * square.square()))
+        back = -resists * (k * coning / 6.0 + g * uneven * (1.0 + 0.5 * square))  # b_c / (8 g)
+        aside = resists * (k * uneven - g * coning / 6.0 * (1.0 - 0.5 * square))  # b_s / (8 g)
+        b_c, b_s = 8.0 * g * back, 8.0 * g * aside
+        drag = 0.5 * inflow * whole - b_c * tilted + coning * (0.25 * coning + b_s / 6.0) + 0.25 * square * b_c.square()
+        drag = 0.5 * lift * drag + 2.0 * profile
+        side = -b_s * tilted - coning * (0.75 * root + 0.5 * twist - 1.5 * inflow + b_c / 6.0)
+        side = 0.5 * lift * (side + square * (coning * b_c + 0.25 * b_c * b_s - 0.5 * b_s * whole))
+        torque = inflow * thrust + profile * (1.0 + 3.0 * square) - square * drag
+        stiff = 0.5 * lift * k * unit * radius
         way = sign.unsqueeze(-1) * condition.axis
         across = torch.linalg.cross(flow, way, dim=-1)
         spin = vehicle.rotor_spin
-        ahead = unit * (thrust * back - drag)
-        force = (unit * (thrust - hover_thrust)).unsqueeze(-1) * way + ahead.unsqueeze(-1) * flow
-        force = force - (unit * spin * thrust * aside).unsqueeze(-1) * across
-        moment = (stiff * g).unsqueeze(-1) * across - (stiff * spin * k).unsqueeze(-1) * flow
+        force = (unit * (thrust - hover_thrust)).unsqueeze(-1) * way - (unit * drag).unsqueeze(-1) * flow
+        force = force + (unit * spin * side).unsqueeze(-1) * across
+        moment = -(stiff * back).unsqueeze(-1) * across - (stiff * spin * aside).unsqueeze(-1) * flow
         moment = moment - (spin * unit * radius * (torque - hover_torque)).unsqueeze(-1) * way
         moment = moment + torch.linalg.cross(condition.lever.expand_as(force), force, dim=-1)
-        whole = (sum_slices(force, 1), sum_slices(moment, 1))
-        return share * torch.cat(whole, dim=-1)
+        return share * torch.cat((sum_slices(force, 1), sum_slices(moment, 1)), dim=-1)
 
     def warp_wrench(self, condition: type) -> wp.Function:
         """Return the same in Warp."""
@@ -223,19 +236,29 @@ class BladeElement(WrenchEffect):
                 inflow = climb + _inflow_warp(lift, lifted, climb, mu)
                 thrust = 0.5 * lift * (lifted - 0.5 * inflow)
                 profile = hover_torque - hover_inflow * hover_thrust
-                drag = 0.25 * lift * inflow * (pitch + 0.5 * twist) + 2.0 * profile
-                uneven = theta - 0.25 * inflow
+                square = mu * mu
                 k = values[wp.static(FLAP)] * reciprocal(rate)
                 k = k * k
-                resists = reciprocal(g * g + k * k)
-                lean = 8.0 * uneven * g * resists
-                torque = inflow * thrust + profile * (1.0 + 3.0 * mu * mu) - mu * mu * (drag + thrust * lean * g)
-                stiff = 0.5 * lift * uneven * k * resists * unit * radius
+                whole = pitch + 0.5 * twist
+                uneven = theta - 0.25 * inflow
+                tilted = theta - 0.75 * inflow
+                coning = 0.25 * pitch + 0.2 * twist + square * (0.25 * pitch + twist / 6.0) - inflow / 3.0
+                coning = 4.0 * g * coning * reciprocal(1.0 + k)
+                resists = reciprocal(k * k + g * g * (1.0 - 0.25 * square * square))
+                back = -resists * (k * coning / 6.0 + g * uneven * (1.0 + 0.5 * square))
+                aside = resists * (k * uneven - g * coning / 6.0 * (1.0 - 0.5 * square))
+                b_c = 8.0 * g * back
+                b_s = 8.0 * g * aside
+                drag = 0.5 * inflow * whole - b_c * tilted + coning * (0.25 * coning + b_s / 6.0)
+                drag = 0.5 * lift * (drag + 0.25 * square * b_c * b_c) + 2.0 * profile
+                side = -b_s * tilted - coning * (0.75 * pitch + 0.5 * twist - 1.5 * inflow + b_c / 6.0)
+                side = 0.5 * lift * (side + square * (coning * b_c + 0.25 * b_c * b_s - 0.5 * b_s * whole))
+                torque = inflow * thrust + profile * (1.0 + 3.0 * square) - square * drag
+                stiff = 0.5 * lift * k * unit * radius
                 across = wp.cross(flow, way)
-                force = unit * (thrust - hover_thrust) * way - unit * (thrust * lean * g + drag) * flow
-                force -= unit * spin * thrust * lean * k * across
+                force = unit * (thrust - hover_thrust) * way - unit * drag * flow + unit * spin * side * across
                 all_force += force
-                all_torque += wp.cross(lever, force) + stiff * g * across - stiff * spin * k * flow
+                all_torque += wp.cross(lever, force) - stiff * back * across - stiff * spin * aside * flow
                 all_torque -= spin * unit * radius * (torque - hover_torque) * way
             return values[wp.static(SHARE)] * wp.spatial_vector(all_force, all_torque)
 
