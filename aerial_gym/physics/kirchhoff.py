@@ -15,7 +15,7 @@ from torch import Tensor
 
 from aerial_gym.physics.rigid_body import multiply_rows
 
-ITERATIONS = 3
+ITERATIONS = 5
 """Newton steps for the mean angular velocity. Each squares the error, which begins at ``dt / 2`` times the acceleration."""
 
 cross = torch.linalg.cross
