@@ -59,8 +59,9 @@ class GuardedTensor(Tensor):
         array.flags.writeable = False
         return array
 
-    def __array__(self, dtype: Any = None) -> np.ndarray:
-        return self.numpy() if dtype is None else self.numpy().astype(dtype, copy=False)
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        array = self.numpy() if dtype is None else self.numpy().astype(dtype, copy=False)
+        return array.copy() if copy else array
 
     def tolist(self) -> Any:
         """Return the numbers."""

@@ -347,3 +347,31 @@ def test_roots_are_as_near_as_they_say() -> None:
     torch.testing.assert_close(roots[1:].double(), exact, rtol=2.4e-7, atol=0.0)
     torch.testing.assert_close(inverses[1:].double(), 1.0 / exact, rtol=2.4e-7, atol=0.0)
     assert float((units[2:].double().norm(dim=-1) - 1.0).abs().max()) < 5e-7
+
+
+@pytest.mark.parametrize("capture", [False, True])
+def test_a_written_payload_acts_in_the_next_step_of_a_task(capture: bool) -> None:
+    """Environment 1 carries a fifth of the mass more from the fourth step on, and sinks."""
+    cfg = replace(task_registry.get("position_setpoint_task"), num_envs=2)
+    robot = replace(ROBOTS.get(cfg.robot), effects={"payload_mass": {"dm": 0.0}}, effects_source="test")
+    env = SimBuilder().build_env(
+        sim_name=cfg.sim,
+        env_name=cfg.env,
+        robot_name=robot,
+        controller_name=cfg.controller,
+        num_envs=2,
+        device="cuda:0",
+    )
+    task = Task(cfg, env, capture=capture)
+    task.reset(seed=0)
+    actions = torch.zeros(2, task.num_actions, device="cuda:0")
+    for _ in range(3):
+        task.step(actions)
+    mass, speed = env.gtd["robot_mass"].clone(), env.gtd["robot_linvel"][:, 2].clone()
+    env.gtd["effect_payload_mass"][1] = 0.2 * float(mass[0])
+    for _ in range(5):
+        task.step(actions)
+    assert task.captured is capture
+    torch.testing.assert_close(env.gtd["robot_mass"], mass * torch.tensor([1.0, 1.2], device="cuda:0"))
+    sinks = env.gtd["robot_linvel"][:, 2] - speed
+    assert float(sinks[1]) < float(sinks[0]) - 0.02

@@ -141,6 +141,8 @@ def test_arrays_of_it_are_read_only_and_dlpack_shares_the_memory() -> None:
         with pytest.raises(ValueError, match="read-only"):
             array[0, 0] = 1.0
     assert np.asarray(shown, dtype=np.float64).dtype == np.float64
+    np.array(shown)[0, 0] = 1.0  # a copy
+    assert plain[0, 0] == 0.0
     assert np.from_dlpack(shown).__array_interface__["data"][0] == plain.data_ptr()
     assert torch.from_dlpack(shown).data_ptr() == plain.data_ptr()
 
