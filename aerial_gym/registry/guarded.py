@@ -14,6 +14,8 @@ import torch
 from torch import Tensor
 from torch.utils._pytree import tree_map
 
+KEPT = "memory and shape of a tensor in the GTD stay as declared: write its values in place, or take a view"
+
 
 class GuardedTensor(Tensor):
     """A tensor that calls ``before`` ahead of each write and ``after`` behind it."""
@@ -42,6 +44,8 @@ class GuardedTensor(Tensor):
         written = _written(func, args, kwargs)
         for each in written:
             each._before()
+        if written and torch.Tag.inplace_view in func.tags:
+            raise AttributeError(KEPT)
         result = func(*tree_map(_plain, list(args)), **tree_map(_plain, dict(kwargs)))
         for each in written:
             each._after()
@@ -75,7 +79,7 @@ class GuardedTensor(Tensor):
     @data.setter
     def data(self, value: Tensor) -> NoReturn:
         del value
-        raise AttributeError("the memory of a tensor in the GTD cannot be replaced: write its values in place")
+        raise AttributeError(KEPT)
 
     def __repr__(self) -> str:  # pyright: ignore[reportIncompatibleMethodOverride]
         return repr(self._plain)
