@@ -264,7 +264,7 @@ task_registry.register_later("position_setpoint_task_morphy_stiff", _rigid_morph
 
 
 def _morphy_of_the_paper() -> TaskCfg:
-    """position_setpoint_task_morphy with the reward of the paper's equation 8, where the published code has other terms.
+    """position_setpoint_task_morphy with a reward of the form of the paper's equation 8, where the published code differs.
 
     The distance counts as a potential: what a step gains. The thrust beyond hover counts by an exponential kernel.
     """
@@ -273,7 +273,7 @@ def _morphy_of_the_paper() -> TaskCfg:
     thrust = RewardCfg(term="all_actions_size", params={"offset": 0.711225, "height": 0.01, "width": 10.0})
     return replace(
         task,
-        summary="position_setpoint_task_morphy with the reward of equation 8 of the paper's appendix",
+        summary="position_setpoint_task_morphy with a reward of the form of equation 8 of the paper's appendix",
         rewards=dict(task.rewards) | {"distance": gained, "size": thrust},
         source=(
             f"{task.source}. Form of 'distance' and 'size': equation 8 of the appendix. Their coefficients: those of the same "
