@@ -36,6 +36,7 @@ from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.registry.state import below
 from aerial_gym.robots.differentiable import DifferentiableBackend
 from aerial_gym.robots.felt_scene import declare_felt_scene
+from aerial_gym.robots.guarded_parameters import guard_parameters
 from aerial_gym.robots.hung_load import hung_load
 from aerial_gym.robots.initial_state import InitialState, StepBegin
 from aerial_gym.robots.joints.drawn_bodies import check_drawn_bodies
@@ -117,7 +118,8 @@ class RobotManager:
         self._declare_model()
         self._randomized = self._make_randomized(randomize or {})
         self._stale = False
-        self._guard_parameters()
+        drawn = [] if self._randomized is None else self._randomized.drawn_effects
+        guard_parameters(gtd, self._effects, drawn, notice=self._note_write)
         self._pushing = Pushing(robot, gtd, around)
         self._load = hung_load(gtd, self._effects, self.tensors.state)
         self.backend.allocate(
@@ -180,30 +182,6 @@ class RobotManager:
         scene, gradients = self._around.scene, self.differentiable is not None
         obstacles = scene is not None and scene.num_instances > 0
         self.felt = declare_felt_scene(gtd, self._effects, obstacles=obstacles, gradients=gradients)
-
-    def _guard_parameters(self) -> None:
-        """Take writes to parameters into the next step, and refuse those to what follows from others."""
-        gtd, drawn = self._gtd, set() if self._randomized is None else set(self._randomized.drawn_effects)
-        for key, quantity, effect in (
-            ("robot_mass", "body.mass", "payload_mass"),
-            ("robot_inertia", "body.inertia", "inertia_error"),
-        ):
-            gtd.refuse(
-                key,
-                f"it follows from the robot. Write effect_{effect} of a robot with that effect, or draw {quantity} "
-                f"(randomize) and write draws()[{quantity!r}]",
-            )
-        if self.imu_errors is not None:
-            gtd.refuse("robot_imu_errors", "write effect_imu_bias or effect_imu_misalignment, from which it follows")
-        for i, (effect, _) in enumerate(self._effects):
-            key = f"effect_{effect.name}"
-            if i in drawn:
-                gtd.refuse(key, f"it is drawn; write draws()['effects.{effect.name}...'], or do not draw it")
-            else:
-                gtd.watch(key, self._note_write)
-        for key in ("drawn_parameters", "downwash_position"):
-            if key in gtd:
-                gtd.watch(key, self._note_write)
 
     def _note_write(self) -> None:
         self._stale = True

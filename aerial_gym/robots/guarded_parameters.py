@@ -1,0 +1,46 @@
+"""Which parameters of a robot in the Global Tensor Dictionary take writes, and what to write in place of the others."""
+
+from collections.abc import Callable, Collection, Sequence
+
+from aerial_gym.physics.effects import EffectParams
+from aerial_gym.registry import GlobalTensorDictionary
+
+FOLLOWS = {"robot_mass": ("body.mass", "payload_mass"), "robot_inertia": ("body.inertia", "inertia_error")}
+"""Keys that follow from the robot: the quantity that may be drawn, and the effect that may be written, in their place."""
+
+LIVE = ("drawn_parameters", "downwash_position")
+"""Keys beside the effects whose writes the next step takes."""
+
+
+def guard_parameters(
+    gtd: GlobalTensorDictionary,
+    effects: Sequence[EffectParams],
+    drawn: Collection[int],
+    *,
+    notice: Callable[[], None],
+) -> None:
+    """Watch parameters that take writes, and refuse writes to those that follow from others.
+
+    Args:
+        gtd: Has the keys of a robot.
+        effects: With their parameters.
+        drawn: Numbers of the effects of which a parameter is drawn.
+        notice: Called after each write that the next step must take.
+    """
+    for key, (quantity, effect) in FOLLOWS.items():
+        gtd.refuse(
+            key,
+            f"it follows from the robot. Write effect_{effect} of a robot with that effect, or draw {quantity} (randomize) "
+            f"and write draws()[{quantity!r}]",
+        )
+    if "robot_imu_errors" in gtd:
+        gtd.refuse("robot_imu_errors", "write effect_imu_bias or effect_imu_misalignment, from which it follows")
+    for i, (effect, _) in enumerate(effects):
+        if i in drawn:
+            way_out = f"it is drawn. Write draws()['effects.{effect.name}.PARAMETER'], or do not draw it"
+            gtd.refuse(f"effect_{effect.name}", way_out)
+        else:
+            gtd.watch(f"effect_{effect.name}", notice)
+    for key in LIVE:
+        if key in gtd:
+            gtd.watch(key, notice)
