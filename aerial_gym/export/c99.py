@@ -227,10 +227,16 @@ def _passing(encoder: Encoder, array: Callable[[str, Tensor], str]) -> Looking:
 _AFTER_ERROR = "Then reset the state, or restore a copy of it from before the step."
 """What a caller of a policy with a memory does."""
 
-_DENSE = """static void dense(const float *weight, const float *bias, int num_in, int num_out, const float *in, float *out) {
+_DENSE = """/* Sums of 32 products each: rounding grows with the root of their number, not of num_in. */
+static void dense(const float *weight, const float *bias, int num_in, int num_out, const float *in, float *out) {
     for (int o = 0; o < num_out; ++o) {
         float sum = bias[o];
-        for (int i = 0; i < num_in; ++i) sum += weight[o * num_in + i] * in[i];
+        for (int first = 0; first < num_in; first += 32) {
+            const int end = first + 32 < num_in ? first + 32 : num_in;
+            float part = 0.0f;
+            for (int i = first; i < end; ++i) part += weight[o * num_in + i] * in[i];
+            sum += part;
+        }
         out[o] = sum;
     }
 }

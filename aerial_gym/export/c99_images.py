@@ -24,10 +24,14 @@ static void convolve(const float *weight, const float *bias, int num_in, int row
     const int down = (rows + 1) / 2, right = (columns + 1) / 2;
     for (int o = 0; o < num_out; ++o) for (int r = 0; r < down; ++r) for (int c = 0; c < right; ++c) {
         float sum = bias[o];
-        for (int i = 0; i < num_in; ++i) for (int y = 0; y < 3; ++y) for (int x = 0; x < 3; ++x) {
-            const int row = 2 * r + y - 1, column = 2 * c + x - 1;
-            if (row < 0 || row >= rows || column < 0 || column >= columns) continue;
-            sum += weight[((o * num_in + i) * 3 + y) * 3 + x] * in[(i * rows + row) * columns + column];
+        for (int i = 0; i < num_in; ++i) {
+            float part = 0.0f;
+            for (int y = 0; y < 3; ++y) for (int x = 0; x < 3; ++x) {
+                const int row = 2 * r + y - 1, column = 2 * c + x - 1;
+                if (row < 0 || row >= rows || column < 0 || column >= columns) continue;
+                part += weight[((o * num_in + i) * 3 + y) * 3 + x] * in[(i * rows + row) * columns + column];
+            }
+            sum += part;
         }
         out[(o * down + r) * right + c] = activated(sum);
     }
