@@ -19,6 +19,7 @@ from aerial_gym.sensors.rays import ray_table, rosette_rays, through_prisms
 from aerial_gym.sensors.scan import group_ages
 
 CPU = torch.device("cpu")
+DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
 LEVEL = torch.tensor([0.0, 0.0, 0.0, 1.0])
 WALL = ShapeCfg(kind="box", size=(0.2, 60.0, 60.0))
 AHEAD = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
@@ -231,9 +232,14 @@ def test_every_lidar_that_is_round_is_in_the_table_of_turning_ones() -> None:
 # ------------------------------------------------------------------------------------------------ in flight
 
 
-def wall_of(envs: int, depth: float) -> Scene:
+@pytest.fixture(params=DEVICES)
+def device(request: pytest.FixtureRequest) -> torch.device:
+    return torch.device(request.param)
+
+
+def wall_of(envs: int, depth: float, device: torch.device) -> Scene:
     """Return a wall across the x axis with its near side at a depth, in each environment."""
-    state = torch.tensor([[[depth + 0.1, 0.0, 0.0, *LEVEL.tolist(), *(6 * [0.0])]]]).repeat(envs, 1, 1)
+    state = torch.tensor([[[depth + 0.1, 0.0, 0.0, *LEVEL.tolist(), *(6 * [0.0])]]], device=device).repeat(envs, 1, 1)
     return Scene([WALL], shape_index=torch.zeros(1), semantic_id=torch.zeros(1), asset_state=state)
 
 
@@ -241,31 +247,31 @@ def caster_of(cfg: RosetteCfg, scene: Scene, **state: Tensor) -> RayCaster:
     envs = scene.num_envs
     zero = torch.zeros(envs, 3)
     body = {"position": zero, "attitude": LEVEL.repeat(envs, 1), "lin_vel": zero, "ang_vel": zero, **state}
-    images = make_images(cfg, envs, device=CPU, poisoned=True)
-    return RayCaster(cfg, scene, images, **{name: value.clone() for name, value in body.items()})
+    images = make_images(cfg, envs, device=scene.device, poisoned=True)
+    return RayCaster(cfg, scene, images, **{name: value.clone().to(scene.device) for name, value in body.items()})
 
 
-def test_each_image_has_the_next_rays_of_the_table() -> None:
+def test_each_image_has_the_next_rays_of_the_table(device: torch.device) -> None:
     """Before a wall at d, the range along a ray is d / x; after the last frame the scan begins anew."""
-    caster = caster_of(ROSETTE, wall_of(1, 6.0))
+    caster = caster_of(ROSETTE, wall_of(1, 6.0, device))
     frames = rosette_rays(ROSETTE, device=CPU).double()
     assert (frames[0] - frames[1]).abs().max() > 0.1
     for image in range(7):
         caster.cast()
         expected = 6.0 / frames[image % 5, ..., 0]
-        torch.testing.assert_close(caster.images.distance[0, 0].double(), expected, rtol=1e-6, atol=0.0)
+        torch.testing.assert_close(caster.images.distance[0, 0].cpu().double(), expected, rtol=1e-6, atol=0.0)
 
 
-def test_environments_are_at_their_own_place_of_the_table_and_reset_by_mask() -> None:
+def test_environments_are_at_their_own_place_of_the_table_and_reset_by_mask(device: torch.device) -> None:
     """Environment 1 is reset after two images and takes none at the next call: the others do not notice."""
-    caster = caster_of(ROSETTE, wall_of(3, 6.0))
+    caster = caster_of(ROSETTE, wall_of(3, 6.0, device))
     frames = rosette_rays(ROSETTE, device=CPU).double()
     seen = [0, 0, 0]
     for call in range(6):
         if call == 2:
-            caster.reset(torch.tensor([False, True, False]))
+            caster.reset(torch.tensor([False, True, False], device=device))
             seen[1] = 0
-        caster.due[:] = torch.tensor([True, call != 3, True])
+        caster.due[:] = torch.tensor([True, call != 3, True], device=device)
         before = caster.images.distance.clone()
         caster.cast()
         for env in range(3):
@@ -273,17 +279,17 @@ def test_environments_are_at_their_own_place_of_the_table_and_reset_by_mask() ->
                 assert torch.equal(caster.images.distance[env], before[env])
                 continue
             expected = 6.0 / frames[seen[env] % 5, ..., 0]
-            torch.testing.assert_close(caster.images.distance[env, 0].double(), expected, rtol=1e-6, atol=0.0)
+            torch.testing.assert_close(caster.images.distance[env, 0].cpu().double(), expected, rtol=1e-6, atol=0.0)
             seen[env] += 1
 
 
-def test_a_batch_sees_what_one_environment_sees() -> None:
+def test_a_batch_sees_what_one_environment_sees(device: torch.device) -> None:
     """Bit for bit, with noise and in flight."""
     cfg = replace(ROSETTE, points="world")
     draw = torch.Generator().manual_seed(4)
     state = {name: 0.5 * torch.randn(4, 3, generator=draw) for name in ("position", "lin_vel", "ang_vel")}
-    batch = caster_of(cfg, wall_of(4, 6.0), **state)
-    alone = caster_of(cfg, wall_of(1, 6.0), **{name: value[2:3] for name, value in state.items()})
+    batch = caster_of(cfg, wall_of(4, 6.0, device), **state)
+    alone = caster_of(cfg, wall_of(1, 6.0, device), **{name: value[2:3] for name, value in state.items()})
     for _ in range(3):
         batch.cast()
         alone.cast()
@@ -296,61 +302,77 @@ def ages_of(cfg: RosetteCfg) -> Tensor:
     return (cfg.width - 1 - torch.arange(cfg.width, dtype=torch.float64)) / (cfg.width * (cfg.rate_hz or 0.0))
 
 
-def test_flying_at_a_wall_each_ray_has_the_range_of_its_own_time() -> None:
+def test_flying_at_a_wall_each_ray_has_the_range_of_its_own_time(device: torch.device) -> None:
     """The wall was v t further away at a ray of age t: r = (d + v t) / x."""
     speed = 8.0
-    caster = caster_of(ROSETTE, wall_of(1, 6.0), lin_vel=torch.tensor([[speed, 0.0, 0.0]]))
+    caster = caster_of(ROSETTE, wall_of(1, 6.0, device), lin_vel=torch.tensor([[speed, 0.0, 0.0]]))
     frames = rosette_rays(ROSETTE, device=CPU).double()
     for image in range(2):
         caster.cast()
         expected = (6.0 + speed * ages_of(ROSETTE)) / frames[image, ..., 0]
-        torch.testing.assert_close(caster.images.distance[0, 0].double(), expected, rtol=1e-6, atol=0.0)
+        torch.testing.assert_close(caster.images.distance[0, 0].cpu().double(), expected, rtol=1e-6, atol=0.0)
 
 
 @pytest.mark.parametrize("columns", [1, 7, 60])
-def test_a_turning_rosette_sees_the_wall_along_the_rays_as_they_were_turned(columns: int) -> None:
+def test_a_turning_rosette_sees_the_wall_along_the_rays_as_they_were_turned(columns: int, device: torch.device) -> None:
     """Yawing at w, a ray of age t was turned by -w t: r = d / (x cos(w t) + y sin(w t)); columns of a group share one age."""
     cfg, rate = replace(ROSETTE, scan_columns=columns), 3.0
-    caster = caster_of(cfg, wall_of(1, 6.0), ang_vel=torch.tensor([[0.0, 0.0, rate]]))
+    caster = caster_of(cfg, wall_of(1, 6.0, device), ang_vel=torch.tensor([[0.0, 0.0, rate]]))
     caster.cast()
     rays = rosette_rays(cfg, device=CPU).double()[0]
     ages = torch.cat([group.mean().expand(len(group)) for group in ages_of(cfg).split(columns)])
     expected = 6.0 / (rays[..., 0] * torch.cos(rate * ages) + rays[..., 1] * torch.sin(rate * ages))
-    torch.testing.assert_close(caster.images.distance[0, 0].double(), expected, rtol=2e-6, atol=0.0)
+    torch.testing.assert_close(caster.images.distance[0, 0].cpu().double(), expected, rtol=2e-6, atol=0.0)
 
 
-def test_lasers_of_one_pulse_share_its_time() -> None:
+def test_lasers_of_one_pulse_share_its_time(device: torch.device) -> None:
     cfg = replace(ROSETTE, height=2, lasers_deg=((0.0, 1.0), (0.0, -1.0)))
-    caster = caster_of(cfg, wall_of(1, 6.0), lin_vel=torch.tensor([[8.0, 0.0, 0.0]]))
+    caster = caster_of(cfg, wall_of(1, 6.0, device), lin_vel=torch.tensor([[8.0, 0.0, 0.0]]))
     caster.cast()
     rays = rosette_rays(cfg, device=CPU).double()[0]
     assert ((rays[0] - rays[1]).norm(dim=-1) > radians(1.0)).all()
     expected = (6.0 + 8.0 * ages_of(cfg)) / rays[..., 0]
-    torch.testing.assert_close(caster.images.distance[0, 0].double(), expected, rtol=1e-6, atol=0.0)
+    torch.testing.assert_close(caster.images.distance[0, 0].cpu().double(), expected, rtol=1e-6, atol=0.0)
 
 
-def manager_of(cfg: RosetteCfg, dt: float) -> tuple[SensorManager, GlobalTensorDictionary]:
-    gtd = GlobalTensorDictionary(device=CPU, sizes={"E": 1})
-    zero = torch.zeros(1, 3)
-    state = {"position": zero, "attitude": LEVEL.repeat(1, 1), "lin_vel": zero, "ang_vel": zero}
-    return SensorManager({"top": cfg}, gtd, wall_of(1, 6.0), num_envs=1, device=CPU, dt=dt, **state), gtd
+def manager_of(cfg: RosetteCfg, dt: float, device: torch.device) -> tuple[SensorManager, GlobalTensorDictionary]:
+    gtd = GlobalTensorDictionary(device=device, sizes={"E": 1})
+    zero = torch.zeros(1, 3, device=device)
+    state = {"position": zero, "attitude": LEVEL.repeat(1, 1).to(device), "lin_vel": zero, "ang_vel": zero}
+    return SensorManager({"top": cfg}, gtd, wall_of(1, 6.0, device), num_envs=1, device=device, dt=dt, **state), gtd
 
 
-def test_the_scan_keeps_time_between_its_frames() -> None:
+def test_the_scan_keeps_time_between_its_frames(device: torch.device) -> None:
     """10 Hz on steps of 20 ms: after n steps frame n // 5 of the table is seen."""
-    manager, gtd = manager_of(ROSETTE, 0.02)
-    manager.reset(torch.ones(1, dtype=torch.bool))
+    manager, gtd = manager_of(ROSETTE, 0.02, device)
+    manager.reset(torch.ones(1, dtype=torch.bool, device=device))
     frames = rosette_rays(ROSETTE, device=CPU).double()
     for step in range(25):
         manager.capture()
         expected = 6.0 / frames[step // 5, ..., 0]
-        torch.testing.assert_close(gtd["depth_range_pixels"][0, 0].double(), expected, rtol=1e-6, atol=0.0)
+        torch.testing.assert_close(gtd["depth_range_pixels"][0, 0].cpu().double(), expected, rtol=1e-6, atol=0.0)
 
 
-def test_frames_shorter_than_a_step_are_refused() -> None:
-    manager_of(ROSETTE, 0.1)
+def test_frames_shorter_than_a_step_are_refused(device: torch.device) -> None:
+    manager_of(ROSETTE, 0.1, device)
     with pytest.raises(ConfigError):
-        manager_of(ROSETTE, 0.11)
+        manager_of(ROSETTE, 0.11, device)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="a graph needs a GPU")
+def test_a_captured_image_moves_on_at_every_replay() -> None:
+    """The frame is a number on the device: replays of one graph see frame after frame."""
+    device = torch.device("cuda:0")
+    caster = caster_of(ROSETTE, wall_of(1, 6.0, device))
+    frames = rosette_rays(ROSETTE, device=CPU).double()
+    caster.cast()
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        caster.cast()
+    for image in range(1, 7):
+        graph.replay()
+        expected = 6.0 / frames[image % 5, ..., 0]
+        torch.testing.assert_close(caster.images.distance[0, 0].cpu().double(), expected, rtol=1e-6, atol=0.0)
 
 
 # ------------------------------------------------------------------------------------------------ files and refusals
