@@ -259,7 +259,7 @@ class SdfWriter:
         elif kind == 1:
             values, attributes = [*place, *np.degrees(angles)], f'{attributes} degrees="true"'
         else:
-            values, attributes = [*place, *(2.0 * turn.as_quat())], f'{attributes} rotation_format="quat_xyzw"'
+            values, attributes = [*place, *turn.as_quat()], f'{attributes} rotation_format="quat_xyzw"'
         at, origin = self.frames[base]
         return f"<pose {attributes}>{text_of(values)}</pose>", (at * turn, origin + at.apply(place))
 

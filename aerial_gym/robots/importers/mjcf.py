@@ -47,6 +47,7 @@ def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = 
     delays = sorted({one.delay for one in pushing})
     delayed = len(delays) == 1 and delays[0] > 0.0
     left = [one.name for one in actuators if one not in pushing]
+    what = "actuators" + (" (drives of joints are written by hand, docs/joints.md)" if joints else "")
     return Found(
         body=reader.body(),
         rotors=[one.rotor(reader.site(one.site), lag, reader.carrier(model.site_bodyid[one.site])) for one in pushing],
@@ -58,7 +59,7 @@ def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = 
         notes=(
             *by_kind((note, one.name) for one in pushing for note in one.notes()),
             *([f"delays of actuators, which differ: {delays} s"] if len(delays) > 1 else []),
-            *([f"actuators, which push no rotor: {', '.join(left)}"] if left else []),
+            *([f"{what}: {', '.join(left)}"] if left else []),
             *reader.notes([one.site for one in pushing], moving=joints),
         ),
         assumed=tuple(by_kind((what, one.name) for one in pushing for what in one.assumed())),

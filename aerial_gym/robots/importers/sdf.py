@@ -110,9 +110,10 @@ def _vehicle(root: Element, path: Path) -> tuple[SdfTree, Element]:
             found.append((_tree(element, path), element))
         except ConfigError as error:  # a ground plane of a server, beside the vehicle
             refusal = refusal or error
-    if not found:
+    with_motors = [pair for pair in found if any(is_motor(plugin) for _, plugin in pair[0].plugins)]
+    if not with_motors and (refusal is not None or not found):
         raise refusal or ConfigError(f"SDF {path}: must hold a <model>")
-    return next((pair for pair in found if any(is_motor(plugin) for _, plugin in pair[0].plugins)), found[0])
+    return (with_motors or found)[0]
 
 
 def _tree(element: Element, path: Path) -> SdfTree:

@@ -259,6 +259,13 @@ def test_the_vehicle_of_a_world_is_the_model_with_motors(tmp_path: Path) -> None
     assert any("ground" in note for note in found.notes)
 
 
+def test_a_missing_vehicle_is_named_and_not_what_stands_beside_it(tmp_path: Path) -> None:
+    gone = "<include><uri>model://gone</uri></include>"
+    text = f'<sdf version="1.9"><world name="w"><model name="ground"><link name="l"/></model>{gone}</world></sdf>'
+    with pytest.raises(ConfigError, match="gone"):
+        import_robot(write(tmp_path, world=text))
+
+
 # ------------------------------------------------------------------------------------------------ rotors
 
 
