@@ -114,7 +114,7 @@ def numbers(text: str | None, count: int, where: str) -> list[float]:
     """Return the numbers in a text; zeros where there is none.
 
     Raises:
-        ConfigError: If there are not as many, or one is none.
+        ConfigError: If there are not as many, or one is none or not finite.
     """
     if text is None or not text.split():
         return [0.0] * count
@@ -122,6 +122,8 @@ def numbers(text: str | None, count: int, where: str) -> list[float]:
         values = [float(word) for word in text.split()]
     except ValueError:
         raise ConfigError(f"{where} = {text!r}: must be numbers") from None
+    if not np.isfinite(values).all():
+        raise ConfigError(f"{where} = {text!r}: must be finite")
     if len(values) != count:
         raise ConfigError(f"{where} = {text!r}: must be {count} numbers")
     return values

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from aerial_gym.config.controller import ControlCfg
 from aerial_gym.config.joint import JointsCfg
 from aerial_gym.config.loader import dump_yaml
@@ -97,7 +99,8 @@ def import_robot(path: str | Path, hints: RotorHints | None = None, *, gravity: 
 def read_robot(path: str | Path, hints: RotorHints | None = None, *, gravity: float = STANDARD_GRAVITY) -> Imported:
     """Return the robot in a file as ``import_robot`` does, whether it can be flown or not."""
     path, hints = Path(path), hints or RotorHints()
-    kind, found = _found(path, hints)
+    with np.errstate(all="ignore"):  # numbers beyond all bounds are refused by the checks of the robot file
+        kind, found = _found(path, hints)
     where = f"{kind} {path.name}"
     if found.losses and not hints.accept_losses:
         move = _JOINTS_HINT if kind != "SDF" and not hints.joints else ""

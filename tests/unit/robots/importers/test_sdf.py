@@ -377,6 +377,8 @@ INCLUDE = '<sdf version="1.9"><model name="{}"><include><uri>model://{}</uri></i
         {"one": vehicle().replace("<motorNumber>0", "<motorNumber>0.5")},
         {"one": vehicle("<inertial><mass>-1</mass></inertial>")},
         {"one": vehicle("<inertial><mass>nan</mass></inertial>")},
+        {"one": vehicle("<pose>0 0 inf 0 0 0</pose>")},
+        {"one": vehicle().replace("0.174", "1e300")},
         {"one": vehicle('<pose rotation_format="quat_xyzw">0 0 0 0 0 0 0</pose>')},
         {"one": vehicle('<pose rotation_format="quat_xyzw" degrees="true">0 0 0 0 0 0 1</pose>')},
         {"one": vehicle('<pose rotation_format="other">0 0 0 0 0 0</pose>')},
