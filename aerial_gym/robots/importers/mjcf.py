@@ -43,7 +43,9 @@ def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = 
     pushing = own if take_actuators else []
     for one in pushing:
         one.check()
-    lines = [(one.thrust_line(reader.site(one.site)), model.site_bodyid[one.site]) for one in own if one.has_force]
+    carried = [] if joints else [one for one in own if one.has_force]
+    lines = [(one.thrust_line(reader.site(one.site)), model.site_bodyid[one.site]) for one in carried]
+    tilting = reader.tilting(lines)
     delays = sorted({one.delay for one in pushing})
     delayed = len(delays) == 1 and delays[0] > 0.0
     left = [one.name for one in actuators if one not in pushing]
@@ -60,10 +62,12 @@ def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = 
             *by_kind((note, one.name) for one in pushing for note in one.notes()),
             *([f"delays of actuators, which differ: {delays} s"] if len(delays) > 1 else []),
             *([f"{what}: {', '.join(left)}"] if left else []),
-            *reader.notes([one.site for one in pushing], moving=joints),
+            *reader.notes(
+                [one.site for one in pushing], [] if joints else [j for j in reader.joints() if j not in tilting]
+            ),
         ),
         assumed=tuple(by_kind((what, one.name) for one in pushing for what in one.assumed())),
-        losses=tuple(reader.losses(lines, moving=joints)),
+        losses=tuple(reader.losses(tilting)),
     )
 
 
@@ -177,22 +181,25 @@ class _Reader:
         first = int(self._model.body_jntadr[body])
         return [] if body == self._root else list(range(first, first + int(self._model.body_jntnum[body])))
 
-    def losses(self, lines: Sequence[tuple[FoundRotor, int]], *, moving: bool) -> Iterator[str]:
-        """Yield wings, and welded joints that move rotors, which are given with the bodies that carry them."""
-        m, tilting = self._model, {}
-        hinge = int(self._mujoco.mjtJoint.mjJNT_HINGE)
+    def tilting(self, lines: Sequence[tuple[FoundRotor, int]]) -> dict[int, list[str]]:
+        """Return which joints move thrust lines, and of which rotors; the bodies that carry them are given with them."""
+        hinge, found = int(self._mujoco.mjtJoint.mjJNT_HINGE), {}
         turn, place = self._from_world[:3, :3], self._from_world[:3, 3]
         for rotor, start in lines:
             body = int(start)
-            while not moving and body != self._root and body > 0:
+            while body != self._root and body > 0:
                 for j in self._own_joints(body):
-                    kind = "hinge" if int(m.jnt_type[j]) == hinge else "other"
-                    axis, at = turn @ self._data.xaxis[j], turn @ self._data.xanchor[j] + place
-                    if tilts(rotor, kind, axis, at):
-                        tilting.setdefault(m.joint(j).name or f"joint_{j}", []).append(rotor.name)
-                body = int(m.body_parentid[body])
-        for joint, names in tilting.items():
-            yield f"joint {joint}, which moves {', '.join(names)}, is welded"
+                    kind = "hinge" if int(self._model.jnt_type[j]) == hinge else "other"
+                    if tilts(rotor, kind, turn @ self._data.xaxis[j], turn @ self._data.xanchor[j] + place):
+                        found.setdefault(j, []).append(rotor.name)
+                body = int(self._model.body_parentid[body])
+        return found
+
+    def losses(self, tilting: dict[int, list[str]]) -> Iterator[str]:
+        """Yield wings, and welded joints that move rotors."""
+        m = self._model
+        for j, names in tilting.items():
+            yield f"joint {m.joint(j).name or f'joint_{j}'}, which moves {', '.join(names)}, is welded"
         winged = [g for g in self._geoms() if m.geom_fluid[g][0] > 0.0]
         if m.opt.density and winged:
             yield f"lift of {', '.join(m.geom(g).name or f'geom_{g}' for g in winged)} (fluidshape)"
@@ -214,8 +221,17 @@ class _Reader:
         """Return whether what an actuator acts on is on the vehicle."""
         return not actuator.at_site or self.is_part(int(self._model.site_bodyid[actuator.site]))
 
-    def notes(self, sites: Sequence[int], *, moving: bool) -> Iterator[str]:
-        """Yield what is not used beside actuators, a line for each kind; ``sites`` are those of rotors."""
+    def joints(self) -> list[int]:
+        """Return the joints of the vehicle but its free one."""
+        return [j for b in self._bodies for j in self._own_joints(b)]
+
+    def notes(self, sites: Sequence[int], welded: Sequence[int]) -> Iterator[str]:
+        """Yield what is not used beside actuators, a line for each kind.
+
+        Args:
+            sites: Those of rotors.
+            welded: Joints that are welded and not named elsewhere.
+        """
         m, root = self._model, self._root
         if m.opt.density or m.opt.viscosity:
             yield (
@@ -229,10 +245,10 @@ class _Reader:
         ):
             if np.any(np.asarray(values)[free]):
                 yield f"{what} of the free joint: {np.max(np.asarray(values)[free]):g}"
-        own = [j for b in range(m.nbody) if self.is_part(b) for j in self._own_joints(b)]
-        if own and not moving:
-            yield f"joints that are welded: {', '.join(m.joint(j).name or f'joint_{j}' for j in own)}"
-        if moving and any(np.any(np.asarray(m.dof_armature)[int(m.jnt_dofadr[j])] > 0.0) for j in own):
+        own = self.joints()
+        if welded:
+            yield f"joints that are welded: {', '.join(m.joint(j).name or f'joint_{j}' for j in welded)}"
+        if self._joints and any(np.any(np.asarray(m.dof_armature)[int(m.jnt_dofadr[j])] > 0.0) for j in own):
             yield "armature of joints: add it to the inertia of their links"
         for what, chosen in (("actuatorfrcrange", m.jnt_actfrclimited), ("actuatorgravcomp", m.jnt_actgravcomp)):
             if of := [m.joint(j).name or f"joint_{j}" for j in own if chosen[j]]:

@@ -139,7 +139,7 @@ def _motor(plugin: ElementTree.Element, scope: str, where: str) -> Motor:
 
 def assumed_of(motors: Sequence[Motor]) -> Iterator[str]:
     """Yield the numbers that are the plugin's own."""
-    pairs = ((name, motor.link) for motor in motors for name in motor.silent)
+    pairs = ((name, m.link) for m in motors for name in m.silent if name != "rollingMomentCoefficient")  # is left out
     yield from by_kind((f"{name} = {DEFAULTS[name]:g}, the plugin's own", link) for name, link in pairs)
 
 

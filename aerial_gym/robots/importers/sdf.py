@@ -3,7 +3,7 @@
 Every joint is welded. One that carries a rotor and moves its thrust line is a loss, as are plugins of wings.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -53,7 +53,6 @@ _MODEL: dict[str, Tags] = {
             "geometry": {
                 **{kind: {tag: {} for tag in tags} for kind, tags in SIZES.items()},
                 "mesh": {"uri": {}, "scale": {}},
-                "plane": {"normal": {}, "size": {}},
             },
         },
     },
@@ -77,7 +76,7 @@ def read(path: Path) -> Found:
     poses = [from_root @ weight.pose for weight in weights.values()]
     motors = motors_in(tree.plugins, tree.where)
     rotors = [_rotor(tree, motor, weights, from_root) for motor in motors]
-    reader = _Reader(tree, from_root, {motor.joint for motor in motors})
+    reader = _Reader(tree, from_root, {motor.joint for motor in motors}, rotors)
     shapes = list(reader.shapes())
     effects = sideways_effects(motors)
     return Found(
@@ -91,13 +90,13 @@ def read(path: Path) -> Found:
         ],
         effects=effects,
         effects_source=f"{tree.where}: rotorDragCoefficient" if effects else "",
-        notes=(*notes_on(motors), *reader.notes(rotors), *_unused(root, vehicle, tree)),
+        notes=(*notes_on(motors), *reader.notes(), *_unused(root, vehicle, tree)),
         assumed=(
             *motors_assumed(motors),
             *by_kind((what, name) for name in tree.links for what in assumed_of(tree, name)),
             *reader.welded_loose(),
         ),
-        losses=tuple(reader.losses(rotors)),
+        losses=tuple(reader.losses()),
     )
 
 
@@ -148,11 +147,14 @@ def _rotor(tree: SdfTree, motor: Motor, weights: dict[str, Weight], from_root: n
 def _unused(root: Element, vehicle: Element, tree: SdfTree) -> Iterator[str]:
     """Yield the elements that are not read."""
     others = [child for base in (root, *root.findall("world")) for child in base if child is not vehicle]
-    plugins = [plugin for _, plugin in tree.plugins if not is_motor(plugin)]
+    plugins = [plugin for _, plugin in tree.plugins if not is_motor(plugin) and force_left_out(plugin) is None]
+    named = [plugin for _, plugin in tree.plugins if force_left_out(plugin) is not None]
     used = {"model": _MODEL, "include": _MODEL["include"]}
-    yield from unused_in(root, {**used, "world": used}, left_out=[*plugins, *(o for o in others if o.tag in used)])
+    yield from unused_in(
+        root, {**used, "world": used}, left_out=[*plugins, *(o for o in others if o.tag in used)], named=named
+    )
     for included in tree.roots:
-        yield from unused_in(included, used, left_out=plugins)
+        yield from unused_in(included, used, left_out=plugins, named=named)
 
 
 @dataclass
@@ -164,27 +166,19 @@ class _Reader:
     spun: set[str]
     """Joints of motors."""
 
+    rotors: Sequence[FoundRotor]
+
     def __post_init__(self) -> None:
-        self._without_shape: list[str] = []
+        self._unread: list[str] = []
         self._ends = {joint: self.tree.ends(joint) for joint in self.tree.joints}
+        self._ways = self._joints_to_links()
+        self._tilting: dict[str, list[str]] = {}
+        for rotor in self.rotors:
+            for joint in filter(self._tilts(rotor), self._ways.get(rotor.name, [])):
+                self._tilting.setdefault(joint, []).append(rotor.name)
 
-    def _moves(self, joint: str) -> bool:
-        return self.tree.joints[joint].get("type") != "fixed" and joint not in self.spun
-
-    def losses(self, rotors: Sequence[FoundRotor]) -> Iterator[str]:
-        """Yield wings and joints without which the vehicle flies otherwise."""
-        yield from filter(None, (force_left_out(plugin) for _, plugin in self.tree.plugins))
-        tilting: dict[str, list[str]] = {}
-        for rotor in rotors:
-            for joint in self._carriers(rotor.name):
-                axis, kind = self.from_root[:3, :3] @ self.tree.axis(joint), self.tree.joints[joint].get("type", "")
-                if tilts(rotor, kind, axis, (self.from_root @ self.tree.pose(joint))[:3, 3]):
-                    tilting.setdefault(joint, []).append(rotor.name)
-        for joint, names in tilting.items():
-            yield f"joint {joint}, which moves {', '.join(names)}, is welded"
-
-    def _carriers(self, link: str) -> Iterator[str]:
-        """Yield the moving joints between a link and the root, whichever of the two is the child."""
+    def _joints_to_links(self) -> dict[str, list[str]]:
+        """Return the joints between the root and each link that is joined to it, whichever of two links is the child."""
         ways: dict[str, list[str]] = {self.tree.root_link: []}
         for at in (waiting := [self.tree.root_link]):  # grows while it is walked
             for joint, (parent, child) in self._ends.items():
@@ -192,28 +186,42 @@ class _Reader:
                 if at in (parent, child) and other is not None and other not in ways:
                     ways[other] = [*ways[at], joint]
                     waiting.append(other)
-        yield from (joint for joint in ways.get(link, []) if self._moves(joint))
+        return ways
 
-    def notes(self, rotors: Sequence[FoundRotor]) -> Iterator[str]:
-        """Yield what of joints, links and shapes is not used."""
-        carrying = {joint for rotor in rotors for joint in self._carriers(rotor.name)}
-        if welded := [joint for joint in self.tree.joints if self._moves(joint) and joint not in carrying]:
+    def _moves(self, joint: str) -> bool:
+        return self.tree.joints[joint].get("type") != "fixed" and joint not in self.spun
+
+    def _tilts(self, rotor: FoundRotor) -> Callable[[str], bool]:
+        """Return what says of a joint on the way to a rotor whether it moves its thrust line."""
+
+        def of(joint: str) -> bool:
+            axis, place = (
+                self.from_root[:3, :3] @ self.tree.axis(joint),
+                (self.from_root @ self.tree.pose(joint))[:3, 3],
+            )
+            return tilts(rotor, self.tree.joints[joint].get("type", ""), axis, place)
+
+        return lambda joint: self._moves(joint) and of(joint)
+
+    def losses(self) -> Iterator[str]:
+        """Yield wings and joints without which the vehicle flies otherwise."""
+        yield from filter(None, (force_left_out(plugin) for _, plugin in self.tree.plugins))
+        for joint, names in self._tilting.items():
+            yield f"joint {joint}, which moves {', '.join(names)}, is welded"
+
+    def notes(self) -> Iterator[str]:
+        """Yield what of joints, links and shapes is not used, beside elements that are not read."""
+        if welded := [joint for joint in self.tree.joints if self._moves(joint) and joint not in self._tilting]:
             yield f"joints that are welded: {', '.join(welded)}"
         if held := [joint for joint, ends in self._ends.items() if None in ends]:
             yield f"joints to the world: {', '.join(held)}"
-        if self._without_shape:
-            yield f"collision shapes: {', '.join(self._without_shape)}"
+        if self._unread:
+            yield f"collision meshes: {', '.join(self._unread)}"
         yield from by_kind((what, name) for name in self.tree.links for what in unused_of(self.tree, name))
 
     def welded_loose(self) -> Iterator[str]:
         """Yield the links that no joint connects with the root."""
-        ends = self._ends.values()
-        reached, waiting = set(), [self.tree.root_link]
-        while waiting:
-            link = waiting.pop()
-            reached.add(link)
-            waiting += [other for pair in ends if link in pair for other in pair if other and other not in reached]
-        if loose := [name for name in self.tree.links if name not in reached]:
+        if loose := [name for name in self.tree.links if name not in self._ways]:
             yield f"links without a joint, welded to the others: {', '.join(loose)}"
 
     def shapes(self) -> Iterator[CollisionShape]:
@@ -229,7 +237,6 @@ class _Reader:
         found = geometry_of(collision)
         at = f"{self.tree.where}: collision of {link}"
         if found is None or found.tag not in (*SIZES, "mesh"):
-            self._without_shape.append(f"{collision.get('name')} ({'none' if found is None else found.tag})")
             return None
         if found.tag == "mesh":
             return self._around_mesh(found, collision, link, pose)
@@ -251,7 +258,7 @@ class _Reader:
             low, high = mesh_of(self.tree, link, shape).bounds
             return _box(pose, 0.5 * (low + high), high - low)
         except ConfigError as error:  # the hull of a model is often a file of its own, which is not at hand
-            self._without_shape.append(f"{collision.get('name')} ({error})")
+            self._unread.append(f"{collision.get('name')} ({error})")
             return None
 
 

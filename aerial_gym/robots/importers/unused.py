@@ -8,15 +8,18 @@ Tags = Mapping[str, Any]
 """Tags that are used, each with those used within it."""
 
 
-def unused_in(root: Element, used: Tags, *, left_out: Container[Element] = ()) -> Iterator[str]:
+def unused_in(
+    root: Element, used: Tags, *, left_out: Container[Element] = (), named: Container[Element] = ()
+) -> Iterator[str]:
     """Yield what is not used: ``sensor: front (camera), imu (imu)``, or ``limit of axis: rotor_0_joint``.
 
     Args:
         root: Element whose children are looked through.
         used: Tags that are used within it.
         left_out: Elements that are not used although their tags are.
+        named: Elements that are named elsewhere.
     """
-    yield from by_kind(_pairs(root, used, root.get("name", ""), left_out))
+    yield from by_kind(_pairs(root, used, root.get("name", ""), left_out, named))
 
 
 def by_kind(pairs: Iterable[tuple[str, str]]) -> Iterator[str]:
@@ -28,13 +31,17 @@ def by_kind(pairs: Iterable[tuple[str, str]]) -> Iterator[str]:
         yield f"{kind}: {', '.join(names)}"
 
 
-def _pairs(element: Element, used: Tags, owner: str, left_out: Container[Element]) -> Iterator[tuple[str, str]]:
+def _pairs(
+    element: Element, used: Tags, owner: str, left_out: Container[Element], named: Container[Element]
+) -> Iterator[tuple[str, str]]:
     for child in element:
+        if child in named:
+            continue
         inner = used.get(child.tag)
         if inner is None or child in left_out:
             yield _named(child, element, owner)
         else:
-            yield from _pairs(child, inner, child.get("name") or child.get("reference") or owner, left_out)
+            yield from _pairs(child, inner, child.get("name") or child.get("reference") or owner, left_out, named)
 
 
 def _named(element: Element, parent: Element, owner: str) -> tuple[str, str]:

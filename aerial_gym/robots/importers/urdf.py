@@ -116,7 +116,9 @@ def _unused(root: ElementTree.Element, *, joints: bool) -> Iterator[str]:
         "properties": {},
     }
     seen = [v for link in root.iter("link") if link.find("collision") is not None for v in link.findall("visual")]
-    yield from unused_in(root, used, left_out=[*seen, *(p for p in root.iter("plugin") if not is_motor(p))])
+    others = [plugin for plugin in root.iter("plugin") if not is_motor(plugin)]
+    named = [plugin for plugin in others if force_left_out(plugin) is not None]
+    yield from unused_in(root, used, left_out=[*seen, *others], named=named)
 
 
 def _has_mass_above_floating(robot: "URDF") -> bool:
