@@ -253,7 +253,7 @@ def _file_of(uri: str, folder: Path, where: str) -> Path:
 def _files(uri: str, folder: Path) -> Iterator[Path]:
     base = folder.parent if uri.startswith("model://") else folder
     rest = uri.removeprefix("model://").removeprefix("file://")
-    for path in (base / rest, folder.parent / rest):
+    for path in (base / rest, folder.parent / rest, folder / rest):
         for file in (path / "model.sdf", path / f"{path.name}.sdf", path):
             if rest and file.is_file():
                 yield file

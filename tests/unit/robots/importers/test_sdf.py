@@ -153,7 +153,8 @@ def test_an_automatic_inertial_of_a_mesh_in_its_own_unit(tmp_path: Path) -> None
     (tmp_path / "model").mkdir()
     box.export(tmp_path / "model" / "box.stl")
     mesh = shape("mesh", "<uri>{}</uri><scale>0.001 0.001 0.001</scale>", 500.0)
-    for uri in ("box.stl", "model://model/box.stl"):
+    absolute = f"file://{tmp_path / 'model' / 'box.stl'}"
+    for uri in ("box.stl", "model://model/box.stl", "model://box.stl", absolute):
         mass, com, inertia = body_alone(tmp_path, '<inertial auto="true"/>' + mesh.format(uri))
         assert mass == pytest.approx(4.5, rel=1e-6)
         np.testing.assert_allclose(com, (0.15, 0.15, 0.05), rtol=1e-6)
