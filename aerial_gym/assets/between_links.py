@@ -1,9 +1,10 @@
-"""Whether the links of a robot that bends touch each other, now or at each substep of a step.
+"""Whether the links of an articulated robot touch each other, now or during a step.
 
-Every pair of shapes on different links is measured as the collision test measures a shape against a part, but pairs that always
-touch: those on links that a joint connects (a link without shapes is passed over), and those that touch in the reference pose.
-Frames: shapes in the frames of their links, which are the body's in the reference pose. Letters: E environments, C shapes,
-L links, K substeps, N pairs.
+Every pair of shapes on different links is measured and swept as the collision test does with a shape and a part. Pairs that
+always touch are left out: those on links that a joint connects (a link without shapes is skipped), and those that touch in
+the reference pose.
+Frames: shapes in the frames of their links, which are the body's in the reference pose. Letters: E environments, C shapes, L
+links, K substeps, N pairs.
 """
 
 from collections.abc import Sequence
@@ -17,12 +18,16 @@ from torch import Tensor
 from aerial_gym.assets.body_shapes import BodyShape, body_shapes, shape_gap
 from aerial_gym.assets.geometry import Shape
 from aerial_gym.assets.shapes import ShapeTable
+from aerial_gym.assets.sweep import make_touches, path_between
 from aerial_gym.assets.views import check_tensor, vector_view
+from aerial_gym.config.checks import Vec3
 from aerial_gym.config.collision import CollisionCfg
 from aerial_gym.config.shape import BASE, ShapeCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import RecordedLaunch, on_torch_stream
 from aerial_gym.interop.streams import BLOCK_DIM
+
+_touches = make_touches(cores=True, meshes=False)
 
 
 @wp.func
@@ -52,13 +57,16 @@ def _meet(
     body: wp.array[BodyShape],  # (C,) the same
     link: wp.array[wp.int32],  # (C,) that carries each
     pairs: wp.array2d[wp.int32],  # (N, 2)
+    pivot: wp.array[wp.vec3],  # (L,) point that moves straight between poses, frame of the link [m]
     # state
-    position: wp.array3d[wp.vec3],  # (K, E, L) world [m]
-    attitude: wp.array3d[wp.quat],  # (K, E, L) link to world, xyzw
+    position: wp.array3d[
+        wp.vec3
+    ],  # (K + 1, E, L) at the start of a step and after each substep, or (1, E, L), world [m]
+    attitude: wp.array3d[wp.quat],  # (K + 1, E, L) link to world, xyzw
     is_step: wp.bool,  # whether touches are crashes
     # out
     distance_out: wp.array[float],  # (E,) [m]
-    crashes_out: wp.array[wp.bool],  # (E,) set where links touch at one of the poses
+    crashes_out: wp.array[wp.bool],  # (E,) set where links touch at or between the poses
 ):
     """Write the least signed distance of two links of an environment at the last pose."""
     e = wp.tid()
@@ -68,14 +76,22 @@ def _meet(
     for n in range(pairs.shape[0]):
         a = pairs[n, 0]
         b = pairs[n, 1]
-        for k in range(last + 1):
-            limit = wp.where(k < last, 0.0, nearest)
-            x = position[k, e, link[a]]
-            y = position[k, e, link[b]]
-            gap = _gap(shapes[a], x, attitude[k, e, link[a]], body[b], y, attitude[k, e, link[b]], limit)
-            touches = touches or gap < 0.0
-            if k == last:
-                nearest = wp.min(nearest, gap)
+        i = link[a]
+        j = link[b]
+        k = wp.int32(0)
+        while k < last and not touches:
+            one = path_between(
+                pivot[i], position[k, e, i], attitude[k, e, i], position[k + 1, e, i], attitude[k + 1, e, i]
+            )
+            other = path_between(
+                pivot[j], position[k, e, j], attitude[k, e, j], position[k + 1, e, j], attitude[k + 1, e, j]
+            )
+            touches = _touches(shapes[a], one, body[b], other, 0.0, 1.0)
+            k += 1
+        x = position[last, e, i]
+        y = position[last, e, j]
+        nearest = _gap(shapes[a], x, attitude[last, e, i], body[b], y, attitude[last, e, j], nearest)
+    touches = touches or nearest < 0.0
     distance_out[e] = nearest
     if is_step and touches:
         crashes_out[e] = True
@@ -90,6 +106,7 @@ class BetweenLinks:
         *,
         names: Sequence[str],
         parents: Sequence[int],
+        pivots: Sequence[Vec3],
         state: Tensor,
         distance_out: Tensor,
     ) -> None:
@@ -99,6 +116,7 @@ class BetweenLinks:
             cfg: The collision shapes.
             names: Of the links, L of them, the base first.
             parents: Link on which each but the base sits, L - 1 of them.
+            pivots: Point of each link's frame that moves in a straight line between two poses [m], L of them.
             state: Position [m] and attitude, xyzw, of the links first, world, (E, L, 13).
             distance_out: Receives the least signed distance of two links [m], negative where they overlap, float32, (E,).
 
@@ -117,6 +135,7 @@ class BetweenLinks:
             """Pairs of places in ``cfg.shapes`` that are looked at."""
             pairs = wp.array(self.pairs, dtype=wp.int32, device=self._place, ndim=2)
             self._fixed = [self._table.array, body, wp.array(links, dtype=wp.int32, device=self._place), pairs]
+            self._fixed.append(wp.array(list(pivots), dtype=wp.vec3, device=self._place))
         nothing = torch.zeros(0, dtype=torch.bool, device=device)
         now = state.unsqueeze(0)
         self._now = self._record(now[..., :3], now[..., 3:7], is_step=False, crashes=nothing)
@@ -126,9 +145,10 @@ class BetweenLinks:
         """Make ready for ``step``.
 
         Args:
-            position: Origins of the frames of links after each substep [m], world, (K, E, L, 3); read at every step.
-            attitude: To the world, xyzw, unit, (K, E, L, 4); likewise.
-            crashes_out: Set where links touch after any of the substeps, bool, (E,); never cleared here.
+            position: Origins of the frames of links at the start of a step and after each substep [m], world,
+                (K + 1, E, L, 3); read at every step.
+            attitude: To the world, xyzw, unit, (K + 1, E, L, 4); likewise.
+            crashes_out: Set where links touch at or between these poses, bool, (E,); never cleared here.
         """
         check_tensor("crashes_out", crashes_out, (len(self._out),), device=self._out.device, dtype=torch.bool)
         self._step = self._record(position, attitude, is_step=True, crashes=crashes_out)

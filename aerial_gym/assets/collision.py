@@ -1,44 +1,25 @@
-"""The collision test: how far the robot's shapes are from the scene, now or at each substep of a step.
+"""The collision test: the distance of the robot's shapes from the scene, and whether they touch anything during a step.
 
-Shapes on links of a robot that bends are measured link by link, each with the poses of its own frame.
-
-All substeps are one launch. A block of threads takes an environment and each of its threads some of the parts, which it
-follows through the substeps: moves the instance that carries it, looks for a touch at every pose of the robot, and measures
-the distance at the last one. On the CPU a block is one thread, which keeps the nearest distance so far and passes over what
-is farther.
-
-A part at rest is looked at from the last pose first. Signed distance changes by no more than the point moves, so a part
-that is farther from a sphere than the sphere went in the step touches it in no substep. Of a mesh, whose sign is found by a
-winding number, only the bounding sphere is used. Robots of spheres alone have a kernel without boxes and capsules.
-Frames: centres of shapes in the body frame, poses in the environment's world frame. Letters: E environments, A instances,
-P parts of all instances, C shapes, K substeps.
+Shapes on links of an articulated robot are tested link by link, each with the poses of its own frame. All substeps of a step
+are one launch for each link (``collision_kernel``).
+Frames: centres of shapes in the body frame, poses in the environment's world frame. Letters: E environments, L links, K
+substeps.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from math import inf
-from typing import Any
 
 import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.assets.body_shapes import (
-    BodyShape,
-    body_distance,
-    body_reach,
-    body_reach_in_step,
-    body_shapes,
-    contact_points,
-    has_cores,
-)
-from aerial_gym.assets.geometry import MESH, Shape, signed_distance
-from aerial_gym.assets.motion import instance_moves, move_instance, moved
+from aerial_gym.assets.body_shapes import body_reach, body_shapes, contact_points, has_cores
+from aerial_gym.assets.collision_kernel import NoObstacles, make_walk
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene import Scene
-from aerial_gym.assets.scene_arrays import ABSENT_BELOW, WORLD, SceneArrays
 from aerial_gym.assets.views import check_tensor, vector_view
+from aerial_gym.config.checks import Vec3
 from aerial_gym.config.robot import CollisionShape
 from aerial_gym.errors import ShapeError
 from aerial_gym.interop import RecordedLaunch, launch_side_by_side, on_torch_stream, split
@@ -49,157 +30,8 @@ BLOCK_DIM = 64
 MIN_PARTS_PER_THREAD = 8192
 """Parts of environments below which another CPU thread costs more than it saves (a hand-over takes some 50 µs)."""
 
-MARGIN = wp.constant(1.0e-3)
-"""Room for float32 rounding [m] when a part is passed over for being farther than the robot went: places up to 1 km from the
-origin are rounded by 6e-5 m."""
-
 _ROUNDING = 1.0 + 1e-5
 """Bounding spheres are larger by this factor, as in the shape table."""
-
-
-@wp.struct
-class NoObstacles:
-    """In the place of obstacles that move where there are none: a launch costs the more the longer its arguments are."""
-
-    nothing: int
-
-
-@wp.func
-def _sphere_center(sphere: wp.vec4, position: wp.vec3, attitude: wp.quat) -> wp.vec3:
-    return position + wp.quat_rotate(attitude, wp.vec3(sphere[0], sphere[1], sphere[2]))
-
-
-@wp.func
-def _gap(
-    shape: Shape,
-    origin: wp.vec3,
-    turn: wp.quat,
-    sphere: wp.array[wp.vec4],
-    position: wp.vec3,
-    attitude: wp.quat,
-    limit: float,
-) -> float:
-    """Return the least signed distance of the robot's spheres to a part [m], or ``limit`` if that is smaller."""
-    nearest = float(limit)
-    for c in range(sphere.shape[0]):
-        radius = sphere[c][3]
-        offset = _sphere_center(sphere[c], position, attitude) - origin
-        if wp.length(offset) - shape.radius - radius < nearest:
-            nearest = wp.min(nearest, signed_distance(shape, wp.quat_rotate_inv(turn, offset)) - radius)
-    return nearest
-
-
-@wp.func
-def _reach(
-    sphere: wp.array[wp.vec4], position: wp.array2d[wp.vec3], attitude: wp.array2d[wp.quat], env: int, last: int
-) -> float:
-    """Return how far the centre of a sphere is from its last place [m], at most, after any substep."""
-    reach = float(wp.static(0.0))
-    for c in range(sphere.shape[0]):
-        end = _sphere_center(sphere[c], position[last, env], attitude[last, env])
-        for k in range(last):
-            reach = wp.max(reach, wp.length(_sphere_center(sphere[c], position[k, env], attitude[k, env]) - end))
-    return reach
-
-
-@cache
-def make_walk(*, moves: bool, shared: bool, cores: bool) -> wp.Kernel:
-    """Return the kernel of the collision test.
-
-    Args:
-        moves: Whether obstacles move.
-        shared: Whether a block of threads shares an environment, rather than one thread taking all of it; only on a GPU: on
-            the CPU Warp's reductions over a block may not run on two threads of the process at once.
-        cores: Whether the robot has boxes or capsules, and its shapes are ``BodyShape`` instead of centre and radius.
-    """
-    body_type = wp.array[BodyShape] if cores else wp.array[wp.vec4]
-    gap_of, reach_of = (body_distance, body_reach_in_step) if cores else (_gap, _reach)
-    obstacles_type: Any = Obstacles if moves else NoObstacles
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def walk(
-        # scene
-        scene: SceneArrays,
-        # state
-        position: wp.array2d[wp.vec3],  # (K, E) after each substep, world [m]
-        attitude: wp.array2d[wp.quat],  # (K, E) body to world, xyzw
-        # params
-        body: body_type,  # (C,) centre in the body frame, radius [m], or more
-        hull: float,  # radius of a ball about the body origin that holds all shapes [m]
-        dt: float,  # [s] of a substep
-        is_step: wp.bool,  # whether obstacles move before each pose, and touches are crashes
-        joins: wp.bool,  # whether another link was measured before this one
-        is_last: wp.bool,  # whether none comes after it
-        first: int,  # environment of the first block
-        # out
-        obstacles_out: obstacles_type,
-        distance_out: wp.array[float],  # (E,) [m]
-        crashes_out: wp.array[wp.bool],  # (E,) set where something is touched at one of the poses
-    ):
-        """Write the least signed distance between a shape and a part at the last pose, inf if there is none."""
-        block, lane = wp.tid()
-        env = block + first
-        last = position.shape[0] - 1
-        nearest = float(wp.inf)
-        touches = wp.bool(False)
-        reach = reach_of(body, position, attitude, env, last)
-        for part in range(lane, scene.num_solid, wp.block_dim()):
-            row = scene.part_shape[env, part]
-            a = scene.part_instance[env, part]
-            x = wp.vec3()
-            q = wp.quat_identity()
-            goes = wp.bool(False)
-            if row >= 0 and a != WORLD:
-                x = scene.position[env, a]
-                q = scene.attitude[env, a]
-                if wp.static(moves):
-                    goes = is_step and instance_moves(obstacles_out, env, a)
-            if row >= 0 and x[2] > ABSENT_BELOW:
-                if wp.static(moves):  # noqa: SIM102 (only what stands alone is static)
-                    if goes:
-                        v = obstacles_out.lin_vel[env, a]
-                        for k in range(last + 1):
-                            x, q, v = moved(obstacles_out, env, a, x, q, v, dt)
-                            p = position[k, env]
-                            limit = wp.where(k < last, 0.0, nearest)
-                            origin = x + wp.quat_rotate(q, scene.shapes[row].position)
-                            if wp.length(p - origin) - scene.radius[env, part] - hull < limit:
-                                shape = scene.shapes[row]
-                                gap = gap_of(shape, origin, q * shape.attitude, body, p, attitude[k, env], limit)
-                                touches = touches or gap < 0.0
-                                if k == last:
-                                    nearest = wp.min(nearest, gap)
-                if not goes:
-                    p = position[last, env]
-                    gap = wp.max(nearest, reach + MARGIN)
-                    origin = x + wp.quat_rotate(q, scene.shapes[row].position)
-                    if wp.length(p - origin) - scene.radius[env, part] - hull < gap:
-                        shape = scene.shapes[row]
-                        gap = gap_of(shape, origin, q * shape.attitude, body, p, attitude[last, env], gap)
-                        nearest = wp.min(nearest, gap)
-                        touches = touches or gap < 0.0
-                    if last > 0 and (gap < reach + MARGIN or scene.shapes[row].kind == MESH):
-                        for k in range(last):
-                            p = position[k, env]
-                            if wp.length(p - origin) - scene.radius[env, part] - hull < 0.0:
-                                shape = scene.shapes[row]
-                                at = gap_of(shape, origin, q * shape.attitude, body, p, attitude[k, env], 0.0)
-                                touches = touches or at < 0.0
-        if touches and is_step:
-            crashes_out[env] = True
-        least = nearest
-        if wp.static(shared):
-            least = wp.tile_min(wp.tile(nearest))[0]  # waits for all threads of the block: none reads a pose after it
-        if lane == 0:
-            if joins:
-                least = wp.min(least, distance_out[env])
-            distance_out[env] = least
-        if wp.static(moves):  # noqa: SIM102 (only what stands alone is static)
-            if is_step and is_last:
-                for a in range(lane, obstacles_out.asset.shape[1], wp.block_dim()):
-                    move_instance(obstacles_out, env, a, dt, last + 1)
-
-    return walk
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,6 +49,9 @@ class LinkShapes:
 
     attitude: Tensor
     """To the world, xyzw, unit, (E, 4); likewise."""
+
+    pivot: Vec3 = (0.0, 0.0, 0.0)
+    """Point of the frame that moves in a straight line between two poses [m]: the hinge of a link that turns."""
 
 
 class _Body:
@@ -276,18 +111,18 @@ class CollisionTest:
         """Make ready for ``step``.
 
         Args:
-            position: Body origin after each substep [m], world, (K, E, 3), or of all links, (K, E, L, 3), if there are
-                ``links``; read at every step.
-            attitude: Body to world, xyzw, unit, (K, E, 4) or (K, E, L, 4); likewise.
+            position: Body origin at the start of a step and after each substep [m], world, (K + 1, E, 3), or of all links,
+                (K + 1, E, L, 3), if there are ``links``; read at every step.
+            attitude: Body to world, xyzw, unit, (K + 1, E, 4) or (K + 1, E, L, 4); likewise.
             dt: Length of a substep [s].
-            crashes_out: Set where the robot touches something after any of the substeps, bool, (E,); never cleared here.
+            crashes_out: Set where the robot touches something at or between these poses, bool, (E,); never cleared here.
 
         Raises:
             ShapeError: If a tensor does not fit the scene.
         """
         check_tensor("crashes_out", crashes_out, (self._scene.num_envs,), device=self._out.device, dtype=torch.bool)
-        if not len(position):
-            raise ShapeError("position: a step needs at least one substep")
+        if len(position) < 2:
+            raise ShapeError(f"position has {len(position)} rows: a step needs its start and at least one substep")
         poses = [(position, attitude)]
         if position.dim() == 4:
             poses = [(position[:, :, own.link.number], attitude[:, :, own.link.number]) for own in self._links]
@@ -313,6 +148,7 @@ class CollisionTest:
             vector_view("attitude", attitude, (*rows, 4), device=scene.device),
             own.shapes,
             own.hull,
+            wp.vec3(*own.link.pivot),
             dt,
             *flags,
         ]
@@ -325,7 +161,7 @@ class CollisionTest:
         shared = scene.device.type == "cuda"
         return [
             RecordedLaunch(
-                make_walk(moves=self._moving is not None, shared=shared, cores=own.cores),
+                make_walk(moves=self._moving is not None, shared=shared, cores=own.cores, meshes=scene.has_meshes),
                 dim=[count],
                 inputs=[*inputs, first],
                 outputs=outputs,

@@ -15,6 +15,8 @@ CAPSULE = wp.constant(3)
 MESH = wp.constant(4)
 PLANE = wp.constant(5)
 """Solid below z = 0 of its own frame, without end."""
+TRIANGLE = wp.constant(6)
+"""One face of a mesh, made where it is swept and in no table: its corners are ``size``, ``center`` and ``half``."""
 
 TINY = wp.constant(1.0e-20)
 """Stands for a direction component of 0, so that dividing by it stays finite."""
@@ -28,7 +30,7 @@ class Shape:
     ray_mesh: wp.uint64  # the same triangles in the tree that rays are fastest in
     position: wp.vec3  # of the shape in the frame of its asset [m]
     attitude: wp.quat  # shape to asset, xyzw, unit
-    kind: wp.int32  # BOX, SPHERE, CYLINDER, CAPSULE, MESH or PLANE
+    kind: wp.int32  # BOX, SPHERE, CYLINDER, CAPSULE, MESH, PLANE or TRIANGLE
     radius: wp.float32  # of the bounding sphere about the shape's origin [m]
     size: wp.vec3  # box: half edges; else: radius, half height along z, 0 [m]
     center: wp.vec3  # of the bounding box in the shape's own axes [m]; 0 but for meshes
@@ -164,6 +166,34 @@ def capsule_distance(point: wp.vec3, radius: float, half_height: float) -> float
 
 
 @wp.func
+def _nearest_on_line(point: wp.vec3, a: wp.vec3, b: wp.vec3) -> wp.vec3:
+    """Return the point of the line from a to b that is nearest to a point."""
+    along = b - a
+    share = wp.dot(point - a, along) / wp.max(wp.dot(along, along), TINY)
+    return a + wp.clamp(share, 0.0, 1.0) * along
+
+
+@wp.func
+def nearest_on_triangle(point: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec3:
+    """Return the point of a triangle that is nearest to a point: its projection if that is inside, else one on an edge."""
+    normal = wp.cross(b - a, c - a)
+    square = wp.dot(normal, normal)
+    ab = wp.dot(wp.cross(b - a, point - a), normal)
+    bc = wp.dot(wp.cross(c - b, point - b), normal)
+    ca = wp.dot(wp.cross(a - c, point - c), normal)
+    if square > 0.0 and wp.min(ab, wp.min(bc, ca)) >= 0.0:
+        return point - (wp.dot(point - a, normal) / square) * normal
+    found = _nearest_on_line(point, a, b)
+    second = _nearest_on_line(point, b, c)
+    third = _nearest_on_line(point, c, a)
+    if wp.length_sq(second - point) < wp.length_sq(found - point):
+        found = second
+    if wp.length_sq(third - point) < wp.length_sq(found - point):
+        found = third
+    return found
+
+
+@wp.func
 def mesh_distance(mesh: wp.uint64, point: wp.vec3, reach: float) -> float:
     """Return the signed distance of a point to a mesh [m]; ``reach`` must exceed it, or it is what is returned.
 
@@ -191,7 +221,27 @@ def primitive_distance(shape: Shape, point: wp.vec3) -> float:
         distance = capsule_distance(point, shape.size[0], shape.size[1])
     elif shape.kind == PLANE:
         distance = point[2]
+    elif shape.kind == TRIANGLE:
+        distance = wp.length(point - nearest_on_triangle(point, shape.size, shape.center, shape.half))
     return distance
+
+
+@wp.func
+def support(shape: Shape, direction: wp.vec3) -> float:
+    """Return how far a shape that is no mesh reaches along a unit vector [m]; of a plane along its own normal alone."""
+    size = shape.size
+    if shape.kind == BOX:
+        return wp.dot(size, wp.vec3(wp.abs(direction[0]), wp.abs(direction[1]), wp.abs(direction[2])))
+    if shape.kind == TRIANGLE:
+        return wp.max(wp.dot(size, direction), wp.max(wp.dot(shape.center, direction), wp.dot(shape.half, direction)))
+    along = size[1] * wp.abs(direction[2])
+    if shape.kind == CYLINDER:
+        return along + size[0] * wp.length(wp.vec2(direction[0], direction[1]))
+    if shape.kind == PLANE:
+        return 0.0
+    if shape.kind == SPHERE:
+        return size[0]
+    return along + size[0]
 
 
 @wp.func
@@ -222,6 +272,10 @@ def primitive_normal(shape: Shape, point: wp.vec3) -> wp.vec3:
     """Return the outward normal of a shape that is no mesh, as ``outward_normal`` does."""
     if shape.kind == PLANE:
         return wp.vec3(0.0, 0.0, 1.0)
+    if shape.kind == TRIANGLE:
+        away = point - nearest_on_triangle(point, shape.size, shape.center, shape.half)
+        flat = wp.normalize(wp.cross(shape.center - shape.size, shape.half - shape.size))
+        return wp.where(wp.length(away) > 0.0, wp.normalize(away), flat)
     if shape.kind == BOX:
         return _box_normal(point, shape.size)
     axis = wp.vec3(point[0], point[1], 0.0)

@@ -9,7 +9,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.assets.asset_table import BOUNCE, STILL, TWIST, WAYPOINTS, WRAP
+from aerial_gym.assets.asset_table import BOUNCE, PASS, STILL, TWIST, WAYPOINTS, WRAP
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene_arrays import ABSENT_BELOW
 from aerial_gym.assets.views import check_tensor
@@ -67,6 +67,34 @@ def moved(
             place[i] = _wrap(place[i], obstacles.bounds_min[env][i], obstacles.bounds_max[env][i])
     rotation = wp.quat_from_axis_angle(wp.normalize(turn), dt * wp.length(turn))
     return place, wp.normalize(rotation * attitude), velocity
+
+
+@wp.func
+def _first_after(after: float, time: float, found: float) -> float:
+    return wp.where(time > after and time < found, time, found)
+
+
+@wp.func
+def next_turning(
+    obstacles: Obstacles, env: int, a: int, position: wp.vec3, lin_vel: wp.vec3, dt: float, after: float
+) -> float:
+    """Return the next share of ``dt`` [s] at which ``moved`` turns an instance round or wraps it, 1 if it does neither."""
+    row = obstacles.table[obstacles.asset[env, a]]
+    found = wp.float32(1.0)
+    if row.motion == WAYPOINTS:
+        path = obstacles.waypoint_b[env, a] - obstacles.waypoint_a[env, a]
+        along = wp.normalize(path)
+        place = wp.dot(position - obstacles.waypoint_a[env, a], along)
+        step = dt * wp.dot(lin_vel, along)
+        if step != 0.0:
+            found = _first_after(after, (wp.where(step > 0.0, wp.length(path), 0.0) - place) / step, found)
+    elif row.at_bounds != PASS:
+        for i in range(3):
+            step = dt * lin_vel[i]
+            end = wp.where(step > 0.0, obstacles.bounds_max[env][i], obstacles.bounds_min[env][i])
+            if step != 0.0:
+                found = _first_after(after, (end - position[i]) / step, found)
+    return found
 
 
 @wp.func

@@ -83,6 +83,9 @@ class Scene:
         with on_torch_stream(asset_state):
             self.shape_table = ShapeTable([*shapes, *_as_compound((*fixed, *robot))], device=self.device)
         self._num_shapes = len(shapes)
+        solid = self.shape_table.parts[: len(self.shape_table.parts) - len(robot)]
+        self.has_meshes = any(part.shape.kind == "mesh" for part in solid)
+        """Whether a part that can be touched is a mesh."""
         size = (self.num_envs, self.num_instances)
         self.shape_index = torch.zeros(size, dtype=torch.int32, device=self.device)
         self.semantic_id = torch.zeros(size, dtype=torch.int32, device=self.device)

@@ -116,7 +116,7 @@ class EnvManager:
         )
         check_starts(robot, controller, gravity=sim.gravity, dt=sim.dt, names=names)
         scene = self.asset_manager.scene
-        trajectory = recorded(env, robot, num_envs=num_envs, device=device)
+        trajectory = recorded(env, robot, num_envs=num_envs, device=device, differentiable=differentiable)
         around = Surroundings(
             bounds=bounds,
             crashes=self.gtd["crashes"],
@@ -291,7 +291,7 @@ class EnvManager:
             self._links.refresh()
 
     def collide(self) -> None:
-        """Measure the clearance in one launch; obstacles that do not push back move meanwhile, and every touch is a crash."""
+        """Measure the clearance and find touches in one launch, while obstacles that do not push back move."""
         self._collision.step()
 
     def restart(self, seed: int) -> None:

@@ -18,10 +18,16 @@ from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.robots.joints.links import LinkPlaces, LinkTensors
 
 
-def recorded(env: EnvironmentCfg, robot: RobotCfg, *, num_envs: int, device: torch.device) -> Trajectory | None:
-    """Return the record of a step that the test needs; None where there is nothing to follow, or contact pushes back."""
-    links = robot.collision.between_links or (robot.collides_with_links and bool(env.num_assets or env.ground))
-    if env.contact is not None or not (env.num_assets or links):
+def recorded(
+    env: EnvironmentCfg, robot: RobotCfg, *, num_envs: int, device: torch.device, differentiable: bool = False
+) -> Trajectory | None:
+    """Return the record of a step that the test needs; None where there is nothing to follow, or contact pushes back.
+
+    Over the ground alone a differentiable robot is tested at the poses only: its substeps are one kernel without a record.
+    """
+    scene = bool(env.num_assets or (env.ground and not (differentiable and robot.joints is None)))
+    links = robot.collision.between_links or (robot.collides_with_links and scene)
+    if env.contact is not None or not (scene or links):
         return None
     joints = len(robot.link_names) - 1 if links else 0
     return Trajectory.zeros(env.physics_steps_per_env_step, num_envs, device=device, num_joints=joints)
@@ -65,7 +71,7 @@ class Touch:
         )
         followed = None if trajectory is None else (trajectory.position, trajectory.attitude)
         if places is not None and places.track is not None:
-            followed = (places.track.position, places.track.attitude)
+            followed, dt = (places.track.position, places.track.attitude), dt / places.track.pieces
         self._follows = followed is not None and self._collision.has_solids
         if followed is not None and self._follows:
             self._collision.follow(*followed, dt=dt, crashes_out=crashes)
@@ -75,6 +81,7 @@ class Touch:
                 robot.collision,
                 names=robot.link_names,
                 parents=[robot.joints.link_of(joint.parent) for joint in robot.joints.layout],
+                pivots=links.pivots,
                 state=links.state,
                 distance_out=gtd.declare(TensorSpec(
                     key="robot_link_clearance", shape=("E",), unit="m", frame="-", owner="env",
@@ -86,7 +93,7 @@ class Touch:
         self.measure()
 
     def step(self) -> None:
-        """Measure after a step: obstacles that do not push back move meanwhile, and every touch is a crash."""
+        """Measure after a step. Obstacles that do not push back move; a touch at any time of the step is a crash."""
         if self._follows:
             self._collision.step()
         elif self._collision.has_solids:

@@ -12,7 +12,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.errors import ShapeError
+from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.physics.fused.hook import FusedHook, trajectory_hook
 from aerial_gym.physics.integrators import MassState
 from aerial_gym.physics.state import BodyState, JointedState
@@ -24,6 +24,10 @@ class SubstepHook(Protocol):
     @property
     def max_substeps(self) -> int | None:
         """How many substeps a step may have; None for any number."""
+        ...
+
+    def begin(self, state: BodyState) -> None:
+        """Take the state at which a step starts; called before substep 0, waits for nothing."""
         ...
 
     def after_substep(self, k: int, before: MassState, state: BodyState) -> None:
@@ -41,23 +45,28 @@ def check_substeps(hook: SubstepHook | None, substeps: int) -> None:
         raise ShapeError(f"substeps = {substeps}: {type(hook).__name__} has room for {hook.max_substeps}")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True)
 class Trajectory:
-    """A hook that records the pose after every substep. Rows beyond the substeps of a step are left alone."""
+    """A hook that records the poses of a step: row 0 at its start, row k + 1 after substep k.
+
+    Rows beyond the substeps of a step are left alone.
+    """
 
     position: Tensor
-    """Body origin [m], world, float32, (K, E, 3)."""
+    """Body origin [m], world, float32, (K + 1, E, 3)."""
 
     attitude: Tensor
-    """Body to world, xyzw, float32, (K, E, 4)."""
+    """Body to world, xyzw, float32, (K + 1, E, 4)."""
 
     joint_pos: Tensor | None = None
-    """Of a vehicle that bends: coordinates of its joints [rad] or [m], float32, (K, E, D)."""
+    """Coordinates of the joints of an articulated vehicle [rad] or [m], float32, (K + 1, E, D)."""
+
+    _began: bool = False
 
     @classmethod
     def zeros(cls, substeps: int, num_envs: int, *, device: torch.device, num_joints: int = 0) -> "Trajectory":
         """Return a record with room for steps of so many substeps, and for joints if there are any."""
-        size = (substeps, num_envs)
+        size = (substeps + 1, num_envs)
         return cls(
             position=torch.zeros(*size, 3, device=device),
             attitude=torch.zeros(*size, 4, device=device),
@@ -67,16 +76,29 @@ class Trajectory:
     @property
     def max_substeps(self) -> int:
         """Room for that many, K."""
-        return self.position.shape[0]
+        return self.position.shape[0] - 1
+
+    def begin(self, state: BodyState) -> None:
+        """Write row 0."""
+        self._write(0, state)
+        self._began = True
 
     def after_substep(self, k: int, before: MassState, state: BodyState) -> None:
-        """Write row ``k``."""
+        """Write row ``k + 1``; raise ``CapabilityError`` if the backend did not call ``begin`` in this step."""
         del before
-        self.position[k].copy_(state.position)
-        self.attitude[k].copy_(state.attitude)
+        if k == 0 and not self._began:
+            raise CapabilityError(
+                "Trajectory: the start of the step is unknown. A backend calls begin(state) before substep 0"
+            )
+        self._began = False
+        self._write(k + 1, state)
+
+    def _write(self, row: int, state: BodyState) -> None:
+        self.position[row].copy_(state.position)
+        self.attitude[row].copy_(state.attitude)
         if self.joint_pos is not None:
             assert isinstance(state, JointedState)
-            self.joint_pos[k].copy_(state.joint_pos)
+            self.joint_pos[row].copy_(state.joint_pos)
 
     def fused(self) -> FusedHook:
         """Return the same as Warp code."""

@@ -321,6 +321,8 @@ class TorchBackend:
     def step(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> None:
         """Advance ``state`` in place."""
         check_substeps(self._hook, substeps)
+        if self._hook is not None:
+            self._hook.begin(state)
         for k in range(substeps):
             before = self._step_once(state, command, dt)
             if self._hook is not None:

@@ -118,6 +118,9 @@ class DifferentiableBackend:
         """Go on with the graph by ``substeps`` of ``dt`` [s] under its own action, and show it in ``state``."""
         del command  # the action of the graph, rounded
         check_substeps(self._hook, substeps)
+        if self._hook is not None:
+            with torch.no_grad():
+                self._hook.begin(state)
         rows = self._in_rows(dt)
         for k in range(substeps):
             if rows is None:

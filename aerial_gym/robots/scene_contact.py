@@ -244,6 +244,9 @@ class SceneContact:
         struct, function = _hook_of(moves=self._moves, cores=self._cores)
         return FusedHook(struct, self._data, function)
 
+    def begin(self, state: BodyState) -> None:
+        """Do nothing: each push needs the motion before its own substep alone."""
+
     def after_substep(self, k: int, before: MassState, state: BodyState) -> None:
         """Move the obstacles, and push the robots that overlap them; launched on torch's current stream, not waited for."""
         del k

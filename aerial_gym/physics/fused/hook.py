@@ -25,7 +25,7 @@ class FusedHook:
     """``(data, env, k, done: Substep) -> (position, attitude, lin_vel, ang_vel)`` after substep k, as in ``Substep``."""
 
     joints: bool = False
-    """Whether the data has an array ``joint_pos``, (K, E, D), into which the kernel of a vehicle that bends writes."""
+    """Whether the data has an array ``joint_pos``, (K + 1, E, D), into which the kernel of a vehicle that bends writes."""
 
 
 @wp.struct
@@ -36,7 +36,9 @@ class Substep:
     mass: float  # [kg]
     inertia: wp.mat33  # about the centre of mass, body [kg m²]
     com: wp.vec3  # from the body origin, body [m]
-    first_lin_vel: wp.vec3  # at its start, world [m/s]
+    first_position: wp.vec3  # at its start, world [m]
+    first_attitude: wp.quat  # likewise
+    first_lin_vel: wp.vec3  # likewise, world [m/s]
     first_ang_vel: wp.vec3  # likewise, body [rad/s]
     position: wp.vec3  # at its end, world [m]
     attitude: wp.quat  # body to world, xyzw
@@ -53,39 +55,47 @@ class NoHook:
 
 @wp.struct
 class TrajectoryArrays:
-    """The pose after every substep."""
+    """The pose at the start of a step and after every substep."""
 
-    position: wp.array2d[wp.vec3]  # (K, E) body origin, world [m]
-    attitude: wp.array2d[wp.quat]  # (K, E) body to world, xyzw
+    position: wp.array2d[wp.vec3]  # (K + 1, E) body origin, world [m]
+    attitude: wp.array2d[wp.quat]  # (K + 1, E) body to world, xyzw
 
 
 @wp.struct
 class JointTrajectoryArrays:
     """The same of a vehicle that bends."""
 
-    position: wp.array2d[wp.vec3]  # (K, E) body origin, world [m]
-    attitude: wp.array2d[wp.quat]  # (K, E) body to world, xyzw
-    joint_pos: wp.array3d[float]  # (K, E, D) [rad] or [m]
+    position: wp.array2d[wp.vec3]  # (K + 1, E) body origin, world [m]
+    attitude: wp.array2d[wp.quat]  # (K + 1, E) body to world, xyzw
+    joint_pos: wp.array3d[float]  # (K + 1, E, D) [rad] or [m]
+
+
+@wp.func
+def _record_poses(position: wp.array2d[wp.vec3], attitude: wp.array2d[wp.quat], env: int, k: int, done: Substep):
+    """Write the pose after substep k, and before the first one the pose at which the step starts."""
+    if k == 0:
+        position[0, env] = done.first_position - rotate(done.first_attitude, done.com)
+        attitude[0, env] = done.first_attitude
+    position[k + 1, env] = done.position - rotate(done.attitude, done.com)
+    attitude[k + 1, env] = done.attitude
 
 
 @wp.func
 def record(data: TrajectoryArrays, env: int, k: int, done: Substep):
-    """Write the pose and return the motion as it came."""
-    data.position[k, env] = done.position - rotate(done.attitude, done.com)
-    data.attitude[k, env] = done.attitude
+    """Write the poses and return the motion as it came."""
+    _record_poses(data.position, data.attitude, env, k, done)
     return done.position, done.attitude, done.lin_vel, done.ang_vel
 
 
 @wp.func
 def record_jointed(data: JointTrajectoryArrays, env: int, k: int, done: Substep):
     """Do the same beside joints."""
-    data.position[k, env] = done.position - rotate(done.attitude, done.com)
-    data.attitude[k, env] = done.attitude
+    _record_poses(data.position, data.attitude, env, k, done)
     return done.position, done.attitude, done.lin_vel, done.ang_vel
 
 
 def trajectory_hook(position: wp.array, attitude: wp.array, joint_pos: wp.array | None = None) -> FusedHook:
-    """Return the hook that writes these arrays, (K, E), and (K, E, D) of joints."""
+    """Return the hook that writes these arrays, (K + 1, E), and (K + 1, E, D) of joints."""
     if joint_pos is None:
         data = TrajectoryArrays()
         data.position, data.attitude = position, attitude

@@ -198,6 +198,8 @@ def make_kernel(
             substeps = 0
         total = wp.vec3()
         for k in range(substeps):
+            first_x = x
+            first_q = q
             first_v = v
             first_w = w
             x, q, v, w, n, load, params = step_once(
@@ -224,6 +226,8 @@ def make_kernel(
                 done.mass = 1.0 / vehicle.mass_inverse
                 done.inertia = vehicle.inertia
                 done.com = vehicle.com
+                done.first_position = first_x
+                done.first_attitude = first_q
                 done.first_lin_vel = first_v
                 done.first_ang_vel = first_w
                 done.position = x

@@ -115,6 +115,9 @@ class LinksAmongObstacles:
                 device=wp.device_from_torch(scene.device),
             ))  # fmt: skip
 
+    def begin(self, state: BodyState) -> None:
+        """Do nothing: each look needs the present links alone."""
+
     @torch.no_grad()
     def after_substep(self, k: int, before: MassState, state: BodyState) -> None:
         """Move the obstacles, and look at all links; launched on torch's current stream, not waited for."""

@@ -298,8 +298,14 @@ def make_jointed_kernel(
             else:
                 followed = command
             before = n
+            first_x = x
+            first_q = q
             first_v = v
             first_w = w
+            if wp.static(records):  # noqa: SIM102 (only what stands alone is static)
+                if k == 0:
+                    for i in range(wp.static(num_joints)):
+                        hook_data.joint_pos[0, env, i] = pos[i]
             n = follow_rotors(vehicle, before, followed, dt)
             x, q, v, w, pos, vel = step_once(
                 vehicle, params, gravity, x, q, v, w, before, n, pos, vel, drives, crept, dt
@@ -316,6 +322,8 @@ def make_jointed_kernel(
                 done.dt = dt
                 done.mass = 1.0 / vehicle.mass_inverse
                 done.inertia = vehicle.inertia
+                done.first_position = first_x
+                done.first_attitude = first_q
                 done.first_lin_vel = first_v
                 done.first_ang_vel = first_w
                 done.position = x
@@ -325,7 +333,7 @@ def make_jointed_kernel(
                 x, q, v, w = follow(hook_data, env, k, done)
             if wp.static(records):
                 for i in range(wp.static(num_joints)):
-                    hook_data.joint_pos[k, env, i] = pos[i]
+                    hook_data.joint_pos[k + 1, env, i] = pos[i]
         if wp.static(remembers):
             effects.since[env] = since + substeps
             for i in range(wp.static(num_memory)):

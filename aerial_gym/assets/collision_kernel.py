@@ -1,0 +1,213 @@
+"""The kernel of the collision test: moves the obstacles, sweeps the robot's shapes against them and measures the distance.
+
+A block of threads takes an environment, and each thread takes some of the parts. It follows a part through the substeps:
+moves the instance that carries it, sweeps the robot's shapes from pose to pose (``sweep``), and measures the distance at the
+last pose. On the CPU a block is one thread, which skips parts beyond the nearest distance so far.
+
+Parts at rest are measured at the last pose first. Signed distance changes by no more than the point moves. A part whose
+distance exceeds the motion of the step is therefore not swept. The sign of a mesh comes from a winding number and may jump,
+so a mesh is skipped by its bounding sphere alone, and its sign is tested at every pose. There are kernels of their own
+without boxes and capsules, without meshes, and without obstacles that move.
+Frames: centres of shapes in the body frame, poses in the environment's world frame. Letters: E environments, A instances, P
+parts of all instances, C shapes, K substeps.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from aerial_gym.assets.body_shapes import BodyShape, body_distance, body_reach_in_step
+from aerial_gym.assets.geometry import MESH, Shape, primitive_distance, signed_distance
+from aerial_gym.assets.motion import instance_moves, move_instance, moved
+from aerial_gym.assets.obstacles import Obstacles
+from aerial_gym.assets.scene_arrays import ABSENT_BELOW, WORLD, SceneArrays
+from aerial_gym.assets.sweep import largest_bow, make_meets_moving, make_meets_still, path_between
+
+REGISTERS = 168
+"""Of a thread of the smallest kernel, which needs no more: six blocks of 64 threads then share a multiprocessor of 65,536."""
+
+MARGIN = wp.constant(1.0e-3)
+"""Room for float32 rounding [m] when a part is passed over for being farther than the robot went: places up to 1 km from the
+origin are rounded by 6e-5 m."""
+
+
+@wp.struct
+class NoObstacles:
+    """In the place of obstacles that move where there are none: a launch costs the more the longer its arguments are."""
+
+    nothing: int
+
+
+@wp.func
+def _sphere_center(sphere: wp.vec4, position: wp.vec3, attitude: wp.quat) -> wp.vec3:
+    return position + wp.quat_rotate(attitude, wp.vec3(sphere[0], sphere[1], sphere[2]))
+
+
+@cache
+def _make_gap(*, meshes: bool) -> wp.Function:
+    """Return the distance of spheres to a part; ``meshes``: whether any part is one, which costs many registers of a GPU."""
+    distance_to = signed_distance if meshes else primitive_distance
+
+    @wp.func
+    def gap_of(
+        shape: Shape,
+        origin: wp.vec3,
+        turn: wp.quat,
+        sphere: wp.array[wp.vec4],
+        position: wp.vec3,
+        attitude: wp.quat,
+        limit: float,
+    ) -> float:
+        """Return the least signed distance of the robot's spheres to a part [m], or ``limit`` if that is smaller."""
+        nearest = float(limit)
+        for c in range(sphere.shape[0]):
+            radius = sphere[c][3]
+            offset = _sphere_center(sphere[c], position, attitude) - origin
+            if wp.length(offset) - shape.radius - radius < nearest:
+                nearest = wp.min(nearest, distance_to(shape, wp.quat_rotate_inv(turn, offset)) - radius)
+        return nearest
+
+    return gap_of
+
+
+@wp.func
+def _reach(
+    sphere: wp.array[wp.vec4], position: wp.array2d[wp.vec3], attitude: wp.array2d[wp.quat], env: int, last: int
+) -> float:
+    """Return the largest distance of a sphere's centre from its last place at any of the poses of a step [m]."""
+    reach = float(wp.static(0.0))
+    for c in range(sphere.shape[0]):
+        end = _sphere_center(sphere[c], position[last, env], attitude[last, env])
+        for k in range(last):
+            reach = wp.max(reach, wp.length(_sphere_center(sphere[c], position[k, env], attitude[k, env]) - end))
+    return reach
+
+
+@cache
+def make_walk(*, moves: bool, shared: bool, cores: bool, meshes: bool) -> wp.Kernel:
+    """Return the kernel of the collision test.
+
+    Args:
+        moves: Whether obstacles move.
+        shared: Whether a block of threads shares an environment, rather than one thread taking all of it; only on a GPU: on
+            the CPU Warp's reductions over a block may not run on two threads of the process at once.
+        cores: Whether the robot has boxes or capsules, and its shapes are ``BodyShape`` instead of centre and radius.
+        meshes: Whether any part is a mesh.
+    """
+    body_type = wp.array[BodyShape] if cores else wp.array[wp.vec4]
+    gap_of, reach_of = (body_distance, body_reach_in_step) if cores else (_make_gap(meshes=meshes), _reach)
+    obstacles_type: Any = Obstacles if moves else NoObstacles
+    meets_still, meets_moving = (
+        make_meets_still(cores=cores, meshes=meshes),
+        make_meets_moving(cores=cores, meshes=meshes),
+    )
+
+    lean = not (moves or cores or meshes)
+
+    @wp.kernel(module="unique", enable_backward=False, cuda_max_registers=REGISTERS if lean else None)
+    def walk(
+        # scene
+        scene: SceneArrays,
+        # state
+        position: wp.array2d[wp.vec3],  # (K + 1, E) at the start of a step and after each substep, or (1, E), world [m]
+        attitude: wp.array2d[wp.quat],  # (K + 1, E) body to world, xyzw
+        # params
+        body: body_type,  # (C,) centre in the body frame, radius [m], or more
+        hull: float,  # radius of a ball about the body origin that holds all shapes [m]
+        pivot: wp.vec3,  # point that moves straight between poses, body frame [m]
+        dt: float,  # [s] of a substep
+        is_step: wp.bool,  # whether obstacles move with the poses, and touches are crashes
+        joins: wp.bool,  # whether another link was measured before this one
+        is_last: wp.bool,  # whether none comes after it
+        first: int,  # environment of the first block
+        # out
+        obstacles_out: obstacles_type,
+        distance_out: wp.array[float],  # (E,) [m]
+        crashes_out: wp.array[wp.bool],  # (E,) set where something is touched at or between the poses
+    ):
+        """Write the least signed distance between a shape and a part at the last pose, inf if there is none."""
+        block, lane = wp.tid()
+        env = block + first
+        last = position.shape[0] - 1
+        nearest = float(wp.inf)
+        touches = wp.bool(False)
+        bow = (hull + wp.length(pivot)) * largest_bow(attitude, env)
+        reach = reach_of(body, position, attitude, env, last) + bow + MARGIN
+        for part in range(lane, scene.num_solid, wp.block_dim()):
+            row = scene.part_shape[env, part]
+            a = scene.part_instance[env, part]
+            x = wp.vec3()
+            q = wp.quat_identity()
+            if row >= 0 and a != WORLD:
+                x = scene.position[env, a]
+                q = scene.attitude[env, a]
+            if row >= 0 and x[2] > ABSENT_BELOW:
+                swept = wp.where(last > 0, reach, 0.0)
+                if wp.static(moves):  # noqa: SIM102 (only what stands alone is static)
+                    if a != WORLD and is_step and instance_moves(obstacles_out, env, a):
+                        swept = 0.0
+                        v = obstacles_out.lin_vel[env, a]
+                        for k in range(last):
+                            path = path_between(
+                                pivot, position[k, env], attitude[k, env], position[k + 1, env], attitude[k + 1, env]
+                            )
+                            touches = touches or meets_moving(
+                                obstacles_out,
+                                env,
+                                a,
+                                x,
+                                q,
+                                v,
+                                dt,
+                                scene.shapes[row],
+                                scene.radius[env, part],
+                                body,
+                                hull,
+                                path,
+                            )
+                            if wp.static(meshes):  # noqa: SIM102 (only what stands alone is static)
+                                if scene.shapes[row].kind == MESH and not touches:
+                                    shape = scene.shapes[row]
+                                    origin = x + wp.quat_rotate(q, shape.position)
+                                    p = position[k, env]
+                                    if wp.length(p - origin) - scene.radius[env, part] - hull < 0.0:
+                                        turn = q * shape.attitude
+                                        touches = gap_of(shape, origin, turn, body, p, attitude[k, env], 0.0) < 0.0
+                            x, q, v = moved(obstacles_out, env, a, x, q, v, dt)
+                p = position[last, env]
+                gap = wp.max(nearest, swept)
+                origin = x + wp.quat_rotate(q, scene.shapes[row].position)
+                if wp.length(p - origin) - scene.radius[env, part] - hull < gap:
+                    shape = scene.shapes[row]
+                    gap = gap_of(shape, origin, q * shape.attitude, body, p, attitude[last, env], gap)
+                    nearest = wp.min(nearest, gap)
+                    touches = touches or gap < 0.0
+                must_sweep = gap < swept
+                if wp.static(meshes):
+                    must_sweep = swept > 0.0 and (must_sweep or scene.shapes[row].kind == MESH)
+                if must_sweep and not touches:
+                    shape = scene.shapes[row]
+                    radius = scene.radius[env, part]
+                    touches = meets_still(shape, x, q, radius, body, hull, pivot, position, attitude, env)
+                    if wp.static(meshes) and shape.kind == MESH:
+                        for k in range(last):
+                            p = position[k, env]
+                            if not touches and wp.length(p - origin) - radius - hull < 0.0:
+                                at = gap_of(shape, origin, q * shape.attitude, body, p, attitude[k, env], 0.0)
+                                touches = at < 0.0
+        if touches and is_step:
+            crashes_out[env] = True
+        least = nearest
+        if wp.static(shared):
+            least = wp.tile_min(wp.tile(nearest))[0]  # waits for all threads of the block: none reads a pose after it
+        if lane == 0:
+            if joins:
+                least = wp.min(least, distance_out[env])
+            distance_out[env] = least
+        if wp.static(moves):  # noqa: SIM102 (only what stands alone is static)
+            if is_step and is_last:
+                for a in range(lane, obstacles_out.asset.shape[1], wp.block_dim()):
+                    move_instance(obstacles_out, env, a, dt, last)
+
+    return walk

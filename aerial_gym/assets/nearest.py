@@ -1,0 +1,342 @@
+"""The nearest pair of a core and another shape.
+
+A core is the box, line or point that a collision shape surrounds with a radius.
+
+For a point the signed distance is one evaluation. Otherwise the nearest pair of two shapes that are apart is searched among
+their features: an edge of the core against the other shape, an edge, the axis or the rim of the other shape against the box;
+corners against the triangles of a mesh, and their edges against the core. Signed distances to convex shapes are convex, so
+the least one on an edge is found by bisection of its slope. The distance is therefore exact, but for ``2^-(BISECTIONS + 1)``
+of an edge. Shapes that overlap have a negative distance, by the deepest of these features.
+Sources: Boyd and Vandenberghe (2004), Convex Optimization, 3.2.5 (distances to convex sets); Lin and Canny (1991), A fast
+algorithm for incremental distance calculation, ICRA (features of the nearest pair).
+Frames: that of the other shape.
+"""
+
+import warp as wp
+
+from aerial_gym.assets.geometry import (
+    BOX,
+    CYLINDER,
+    MESH,
+    PLANE,
+    TINY,
+    TRIANGLE,
+    Shape,
+    nearest_on_triangle,
+    outward_normal,
+    primitive_distance,
+    primitive_normal,
+    signed_distance,
+)
+
+BISECTIONS = wp.constant(14)
+"""Of an edge, whose least is then found to 3e-5 of its length."""
+
+
+@wp.struct
+class Nearest:
+    """The nearest pair of a core and another shape, in the frame of that shape."""
+
+    distance: wp.float32  # [m], negative where they overlap
+    point: wp.vec3  # of the core, or of the other shape where that is inside the core [m]
+    normal: wp.vec3  # unit, towards the core
+
+
+@wp.struct
+class Core:
+    """A core in the frame of another shape."""
+
+    center: wp.vec3  # [m]
+    turn: wp.quat  # core to that frame
+    half: wp.vec3  # half edges [m]
+
+
+@wp.func
+def corner_of(half: wp.vec3, number: int) -> wp.vec3:
+    """Return corner 0 to 7 of a box."""
+    return wp.vec3(
+        wp.where((number & 1) == 0, half[0], -half[0]),
+        wp.where((number & 2) == 0, half[1], -half[1]),
+        wp.where((number & 4) == 0, half[2], -half[2]),
+    )
+
+
+@wp.func
+def repeats_corner(half: wp.vec3, number: int) -> wp.bool:
+    """Return whether a corner is the same as one with a smaller number, as in the core of a sphere or capsule."""
+    x = (number & 1) != 0 and half[0] == 0.0
+    y = (number & 2) != 0 and half[1] == 0.0
+    z = (number & 4) != 0 and half[2] == 0.0
+    return x or y or z
+
+
+@wp.func
+def _search_edge(shape: Shape, middle: wp.vec3, half: wp.vec3, found: Nearest) -> Nearest:
+    """Return what is nearer: what was found, or the least on the edge from ``middle - half`` to ``middle + half``."""
+    if primitive_distance(shape, middle) - wp.length(half) >= found.distance:
+        return found  # distances change by no more than the point moves
+    low = wp.float32(-1.0)
+    high = wp.float32(1.0)
+    t = wp.float32(1.0)
+    normal = wp.vec3()
+    k = wp.int32(
+        -2
+    )  # both ends, the bisections, and the middle that is left; in one place, for the sake of compile times
+    while k <= BISECTIONS:
+        normal = primitive_normal(shape, middle + t * half)
+        slope = wp.dot(normal, half)
+        if k == BISECTIONS or (k == -2 and slope <= 0.0) or (k == -1 and slope >= 0.0):
+            break
+        if k == -2:
+            t = -1.0
+        else:
+            if k >= 0 and slope > 0.0:
+                high = t
+            else:
+                low = t
+            t = 0.5 * (low + high)
+        k += 1
+    point = middle + t * half
+    distance = primitive_distance(shape, point)
+    if distance < found.distance:
+        found.distance = distance
+        found.point = point
+        found.normal = normal
+    return found
+
+
+@wp.func
+def _search_face(shape: Shape, core: Core, axis: int, side: float, found: Nearest) -> Nearest:
+    """Return what is nearer: what was found, or the point of a rim that reaches furthest against a face, if it is before it."""
+    b = (axis + 1) % 3
+    c = (axis + 2) % 3
+    outward = wp.vec3()
+    outward[axis] = side
+    normal = wp.quat_rotate(core.turn, -outward)
+    rim = wp.normalize(wp.vec3(normal[0], normal[1], 0.0))
+    point = shape.size[0] * rim + wp.vec3(0.0, 0.0, wp.sign(normal[2]) * shape.size[1])
+    inside = wp.quat_rotate_inv(core.turn, point - core.center)
+    distance = side * inside[axis] - core.half[axis]
+    beside = wp.max(wp.abs(inside[b]) - core.half[b], wp.abs(inside[c]) - core.half[c])
+    if beside <= 0.0 and distance > -2.0 * core.half[axis] and distance < found.distance:
+        found.distance = distance
+        found.point = point
+        found.normal = normal
+    return found
+
+
+@wp.func
+def _edge_middle(half: wp.vec3, number: int) -> wp.vec3:
+    """Return the middle of edge 0 to 11 of a box; four after another are parallel."""
+    axis = number >> 2
+    middle = wp.vec3()
+    b = (axis + 1) % 3
+    c = (axis + 2) % 3
+    middle[b] = wp.where((number & 1) == 0, half[b], -half[b])
+    middle[c] = wp.where((number & 2) == 0, half[c], -half[c])
+    return middle
+
+
+@wp.func
+def _edge_half(half: wp.vec3, number: int) -> wp.vec3:
+    """Return half of that edge."""
+    along = wp.vec3()
+    axis = number >> 2
+    along[axis] = half[axis]
+    return along
+
+
+@wp.func
+def _search_edges(shape: Shape, center: wp.vec3, turn: wp.quat, half: wp.vec3, found: Nearest) -> Nearest:
+    """Return what is nearer: what was found, or the least on the edges of a box, or on the line that it has become."""
+    k = wp.int32(0)
+    while k < 12:
+        axis = k >> 2
+        repeats = (k & 3) > 0 and half[(axis + 1) % 3] + half[(axis + 2) % 3] == 0.0
+        if half[axis] > 0.0 and not repeats:
+            middle = center + wp.quat_rotate(turn, _edge_middle(half, k))
+            found = _search_edge(shape, middle, wp.quat_rotate(turn, _edge_half(half, k)), found)
+        k += 1
+    return found
+
+
+@wp.func
+def as_box(core: Core) -> Shape:
+    """Return a core as a shape of its own."""
+    box = Shape()
+    box.kind = BOX
+    box.size = core.half
+    return box
+
+
+@wp.func
+def _turned_round(core: Core, seen: Nearest, radius: float) -> Nearest:
+    """Return a pair that was found in the frame of the core, by points that the other shape surrounds with a radius."""
+    found = Nearest()
+    found.distance = seen.distance - radius
+    found.normal = -wp.quat_rotate(core.turn, seen.normal)
+    found.point = core.center + wp.quat_rotate(core.turn, seen.point) + radius * found.normal
+    return found
+
+
+@wp.func
+def _search_back(shape: Shape, core: Core, found: Nearest) -> Nearest:
+    """Return what is nearer: what was found, or the least of the other shape's own edges or axis to a box.
+
+    The axis of a cylinder counts where it is inside the box alone: there it has pierced two faces, far from all edges.
+    """
+    half = shape.size
+    radius = wp.float32(0.0)
+    if shape.kind != BOX:
+        half = wp.vec3(0.0, 0.0, wp.max(shape.size[1], TINY))  # of a sphere nothing
+        if shape.kind != CYLINDER:
+            radius = shape.size[0]
+    back = wp.quat_inverse(core.turn)
+    seen = Nearest()
+    seen.distance = found.distance + radius
+    if shape.kind == CYLINDER:
+        seen.distance = wp.min(seen.distance, 0.0)
+    least = seen.distance
+    seen = _search_edges(as_box(core), wp.quat_rotate(back, -core.center), back, half, seen)
+    if seen.distance < least:
+        return _turned_round(core, seen, radius)
+    return found
+
+
+PIERCED = wp.constant(1.0e-6)
+"""Depth [m] of an edge that pierces a mesh: of open sheets there is no other."""
+
+
+@wp.func
+def _search_corners(shape: Shape, core: Core, found: Nearest) -> Nearest:
+    """Return what is nearer: what was found, or the least of a mesh to corners and centre of a core, or an edge in the mesh."""
+    nearer = wp.bool(False)
+    k = wp.int32(0)
+    while k < 9:
+        corner = wp.where(k == 8, 0.0, 1.0) * corner_of(core.half, k)
+        point = core.center + wp.quat_rotate(core.turn, corner)
+        distance = signed_distance(shape, point)
+        if distance < found.distance:
+            found.distance = distance
+            found.point = point
+            nearer = True
+        k += 1
+    if nearer:
+        found.normal = outward_normal(shape, found.point)
+    k = wp.int32(0)
+    while k < 12:
+        edge = wp.quat_rotate(core.turn, _edge_half(core.half, k))
+        length = wp.length(edge)
+        if found.distance > -PIERCED and length > 0.0:
+            start = core.center + wp.quat_rotate(core.turn, _edge_middle(core.half, k)) - edge
+            query = wp.mesh_query_ray(shape.ray_mesh, start, edge / length, 2.0 * length)
+            if query.result:
+                found.distance = -PIERCED
+                found.point = start + (query.t / length) * edge
+                found.normal = query.normal
+        k += 1
+    return found
+
+
+@wp.func
+def _search_mesh(shape: Shape, core: Core, found: Nearest) -> Nearest:
+    """Return what is nearer: what was found, or the least of a mesh to a core."""
+    found = _search_corners(shape, core, found)
+    box = as_box(core)
+    matrix = wp.quat_to_matrix(core.turn)
+    extent = wp.vec3(wp.max(found.distance, 0.0), wp.max(found.distance, 0.0), wp.max(found.distance, 0.0))
+    for i in range(3):
+        for j in range(3):
+            extent[i] = extent[i] + wp.abs(matrix[i, j]) * core.half[j]
+    seen = Nearest()
+    seen.distance = found.distance
+    query = wp.mesh_query_aabb(shape.mesh, core.center - extent, core.center + extent)
+    face = wp.int32(0)
+    while wp.mesh_query_aabb_next(query, face):
+        k = wp.int32(0)
+        while k < 3:
+            a = wp.quat_rotate_inv(core.turn, wp.mesh_get_point(shape.mesh, 3 * face + k) - core.center)
+            b = wp.quat_rotate_inv(core.turn, wp.mesh_get_point(shape.mesh, 3 * face + (k + 1) % 3) - core.center)
+            seen = _search_edge(box, 0.5 * (a + b), 0.5 * (b - a), seen)
+            k += 1
+    if seen.distance < found.distance:
+        return _turned_round(core, seen, 0.0)
+    return found
+
+
+@wp.func
+def _closer(found: Nearest, point: wp.vec3, away: wp.vec3) -> Nearest:
+    """Return what is nearer: what was found, or a point at ``away`` from the other shape."""
+    distance = wp.length(away)
+    if distance < found.distance and distance > 0.0:
+        found.distance = distance
+        found.point = point
+        found.normal = away / distance
+    return found
+
+
+@wp.func
+def _search_triangle(shape: Shape, core: Core, found: Nearest) -> Nearest:
+    """Return what is nearer: what was found, or the least of a triangle to a core that does not overlap it, in closed form.
+
+    The nearest pair of two polytopes that are apart has a corner of one of them, or an edge of each.
+    """
+    box = as_box(core)
+    a = shape.size
+    b = shape.center
+    c = shape.half
+    k = wp.int32(0)
+    while k < 8:
+        if not repeats_corner(core.half, k):
+            point = core.center + wp.quat_rotate(core.turn, corner_of(core.half, k))
+            found = _closer(found, point, point - nearest_on_triangle(point, a, b, c))
+        k += 1
+    k = wp.int32(0)
+    while k < 3:
+        own = wp.quat_rotate_inv(core.turn, a - core.center)
+        inside = wp.vec3(
+            wp.clamp(own[0], -box.size[0], box.size[0]),
+            wp.clamp(own[1], -box.size[1], box.size[1]),
+            wp.clamp(own[2], -box.size[2], box.size[2]),
+        )
+        if wp.length_sq(own - inside) == 0.0:
+            found.distance = wp.min(found.distance, -PIERCED)
+        point = core.center + wp.quat_rotate(core.turn, inside)
+        found = _closer(found, point, point - a)
+        n = wp.int32(0)
+        while n < 12:
+            half = wp.quat_rotate(core.turn, _edge_half(core.half, n))
+            axis = n >> 2
+            repeats = (n & 3) > 0 and core.half[(axis + 1) % 3] + core.half[(axis + 2) % 3] == 0.0
+            if core.half[axis] > 0.0 and not repeats:
+                middle = core.center + wp.quat_rotate(core.turn, _edge_middle(core.half, n))
+                pair = wp.closest_point_edge_edge(middle - half, middle + half, a, b, 1.0e-12)
+                point = middle + (2.0 * pair[0] - 1.0) * half
+                found = _closer(found, point, point - (a + pair[1] * (b - a)))
+            n += 1
+        first = a
+        a = b
+        b = c
+        c = first
+        k += 1
+    return found
+
+
+@wp.func
+def nearest_of_core(shape: Shape, core: Core, limit: float) -> Nearest:
+    """Return the nearest pair of a core and a shape, or ``limit`` [m] without a pair if that is smaller."""
+    found = Nearest()
+    found.distance = limit
+    if shape.kind == MESH:
+        return _search_mesh(shape, core, found)
+    if shape.kind == TRIANGLE:
+        return _search_triangle(shape, core, found)
+    found = _search_edges(shape, core.center, core.turn, core.half, found)
+    if wp.min(core.half) > 0.0 and shape.kind != PLANE:
+        if shape.kind == CYLINDER:
+            k = wp.int32(0)
+            while k < 6:
+                found = _search_face(shape, core, k >> 1, wp.where((k & 1) == 0, 1.0, -1.0), found)
+                k += 1
+        found = _search_back(shape, core, found)
+    return found

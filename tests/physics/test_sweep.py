@@ -1,0 +1,334 @@
+"""Swept collisions, one pair of shapes at a time: no crossing between two poses is missed, and no clear pass is reported.
+
+Truth shares no code with the package. A *crossing* is built: at a random time a random point of the robot's shape is put on a
+random point of the part. A *clear pass* is built too: in the frame of the part, the support functions of both shapes along a
+fixed direction stay a given clearance apart, at 100 times of each substep in float64.
+Letters: N flights, each an environment; K substeps.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.assets import AssetManager, CollisionTest
+from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, MotionCfg, ShapeCfg
+from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionShape, SphereCfg
+from aerial_gym.math.random import Randomness
+from aerial_gym.registry import GlobalTensorDictionary
+
+Array = NDArray[np.float64]
+
+DT, TIMES = 0.01, 100
+ROOM = {f"bounds_{side}_{end}": 3 * (x,) for side, x in (("lower", -9.0), ("upper", 9.0)) for end in ("low", "high")}
+CLEAR = 5e-4
+"""Distance [m] that must not be reported: 2.5 times that at which the sweep stops."""
+ROUNDING = 5e-6
+"""Of the least height [m]: accelerations of 0.4 m per substep squared between 100 times, ``a dt²/8``."""
+
+HULLS: dict[str, CollisionShape] = {
+    "sphere": SphereCfg(center=(0.05, -0.03, 0.02), radius=0.04),
+    "box": BoxCfg(center=(0.02, 0.0, -0.01), size=(0.3, 0.2, 0.06), euler=(0.2, -0.1, 0.7)),
+    "capsule": CapsuleCfg(center=(0.03, 0.05, 0.0), radius=0.02, height=0.4, euler=(0.4, 1.2, 0.0)),
+}
+PARTS = {
+    "box": ShapeCfg(kind="box", size=(0.02, 1.0, 2.0)),
+    "sphere": ShapeCfg(kind="sphere", radius=0.05),
+    "cylinder": ShapeCfg(kind="cylinder", radius=0.01, height=1.5),
+    "capsule": ShapeCfg(kind="capsule", radius=0.01, height=0.8),
+    "plane": ShapeCfg(kind="plane"),
+}
+MESHES = ("slab", "torus", "sheet")
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Poses of a body at times 0 to K: each substep shifts and turns it at constant rates; the turn is in the world."""
+
+    start: Array  # (N, 3) [m]
+    attitude: Rotation  # (N,)
+    shifts: Array  # (K, N, 3) [m]
+    turns: Array  # (K, N, 3) [rad]
+
+    def at(self, substep: int, s: Array | float) -> tuple[Array, Rotation]:
+        """Return place and attitude at share s of a substep."""
+        share = np.broadcast_to(s, len(self.start))[:, None]
+        place = self.start + self.shifts[:substep].sum(axis=0) + share * self.shifts[substep]
+        attitude = self.attitude
+        for turn in self.turns[:substep]:
+            attitude = Rotation.from_rotvec(turn) * attitude
+        return place, Rotation.from_rotvec(share * self.turns[substep]) * attitude
+
+    def moved(self, by: Array) -> "Motion":
+        return Motion(self.start + by, self.attitude, self.shifts, self.turns)
+
+
+def directions(rng: np.random.Generator, n: int) -> Array:
+    v = rng.normal(size=(n, 3))
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+def random_motion(rng: np.random.Generator, n: int, k: int, *, speed: tuple[float, float], spin: float) -> Motion:
+    """Return motions of a speed [m/s] and a spin of up to so much [rad/s], each substep with its own spin."""
+    shift = directions(rng, n) * rng.uniform(*speed, size=(n, 1)) * DT
+    turns = directions(rng, k * n).reshape(k, n, 3) * rng.uniform(0.0, spin * DT, size=(k, n, 1))
+    place = rng.uniform(-3.0, 3.0, size=(n, 3))
+    return Motion(place, Rotation.random(n, random_state=rng), np.repeat(shift[None], k, axis=0), turns)
+
+
+def still_or_moving(rng: np.random.Generator, n: int, k: int, *, moves: bool) -> Motion:
+    """Return the motion of the part: the same twist in all substeps."""
+    found = random_motion(rng, n, k, speed=(0.0, 20.0) if moves else (0.0, 0.0), spin=20.0 if moves else 0.0)
+    return Motion(found.start, found.attitude, found.shifts, np.repeat(found.turns[:1], k, axis=0))
+
+
+def points_in_hull(hull: CollisionShape, rng: np.random.Generator, n: int) -> Array:
+    """Return points of the solid in the body frame."""
+    unit = directions(rng, n) * rng.uniform(size=(n, 1)) ** (1 / 3)
+    if isinstance(hull, SphereCfg):
+        return np.asarray(hull.center) + hull.radius * unit
+    turn = Rotation.from_euler("xyz", hull.euler)
+    if isinstance(hull, BoxCfg):
+        return np.asarray(hull.center) + turn.apply(rng.uniform(-0.5, 0.5, size=(n, 3)) * hull.size)
+    along = rng.uniform(-0.5, 0.5, size=(n, 1)) * hull.height * np.array([0.0, 0.0, 1.0])
+    return np.asarray(hull.center) + turn.apply(along + hull.radius * unit)
+
+
+def hull_reach(hull: CollisionShape, direction: Array) -> Array:
+    """Return the support function of the solid in the body frame, (N,)."""
+    reach = direction @ np.asarray(hull.center)
+    if isinstance(hull, SphereCfg):
+        return reach + hull.radius
+    own = Rotation.from_euler("xyz", hull.euler).inv().apply(direction)
+    if isinstance(hull, BoxCfg):
+        return reach + np.abs(own) @ np.asarray(hull.size) / 2
+    return reach + 0.5 * hull.height * np.abs(own[:, 2]) + hull.radius
+
+
+def make_mesh(name: str) -> trimesh.Trimesh:
+    if name == "slab":  # a closed wall of many faces
+        return trimesh.creation.box(extents=(0.02, 0.6, 0.6)).subdivide().subdivide()
+    if name == "torus":
+        return trimesh.creation.torus(major_radius=0.3, minor_radius=0.02, major_sections=24, minor_sections=8)
+    return trimesh.Trimesh([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]], [[0, 1, 2], [0, 2, 3]])
+
+
+def points_in_part(part: ShapeCfg | trimesh.Trimesh, rng: np.random.Generator, n: int) -> Array:
+    """Return points of the solid, or of the faces of a mesh."""
+    if isinstance(part, trimesh.Trimesh):
+        weights = rng.dirichlet((1.0, 1.0, 1.0), size=n)
+        return np.einsum("nk,nkd->nd", weights, part.triangles[rng.integers(len(part.faces), size=n)])
+    if part.kind == "box":
+        return rng.uniform(-0.5, 0.5, size=(n, 3)) * part.size
+    if part.kind == "plane":
+        return rng.uniform((-2.0, -2.0, -0.1), (2.0, 2.0, 0.0), size=(n, 3))
+    unit = directions(rng, n) * rng.uniform(size=(n, 1)) ** (1 / 3) * part.radius
+    along = rng.uniform(-0.5, 0.5, size=(n, 1)) * (part.height or 0.0) * np.array([0.0, 0.0, 1.0])
+    return along + unit * ((1.0, 1.0, 0.0) if part.kind == "cylinder" else 1.0)
+
+
+def part_reach(part: ShapeCfg | trimesh.Trimesh, n: Array) -> Array:
+    """Return the support function, (N,)."""
+    if isinstance(part, trimesh.Trimesh):
+        return (n @ part.vertices.T).max(axis=1)
+    if part.kind == "box":
+        return np.abs(n) @ np.asarray(part.size) / 2
+    if part.kind == "plane":
+        return np.zeros(len(n))
+    along = 0.5 * (part.height or 0.0) * np.abs(n[:, 2])
+    return along + part.radius * (np.hypot(n[:, 0], n[:, 1]) if part.kind == "cylinder" else 1.0)
+
+
+def crossings(
+    hull: CollisionShape, part: ShapeCfg | trimesh.Trimesh, n: int, *, moves: bool, k: int = 2
+) -> tuple[Motion, Motion]:
+    """Return motions of robot and part with a common point at a random time of a random substep."""
+    rng = np.random.default_rng(1)
+    robot = random_motion(rng, n, k, speed=(5.0, 40.0), spin=30.0)
+    other = still_or_moving(rng, n, k, moves=moves)
+    own, its = points_in_hull(hull, rng, n), points_in_part(part, rng, n)
+    share = rng.uniform(size=n)
+    gap = np.zeros((k, n, 3))
+    for j in range(k):
+        (x, q), (y, p) = robot.at(j, share), other.at(j, share)
+        gap[j] = y + p.apply(its) - x - q.apply(own)
+    return robot.moved(gap[rng.integers(k, size=n), np.arange(n)]), other
+
+
+def heights(hull: CollisionShape, part: ShapeCfg | trimesh.Trimesh, robot: Motion, other: Motion, n: Array) -> Array:
+    """Return how far the robot is above the plane that supports the part along n, at all times, (K TIMES, N)."""
+    found = []
+    for j in range(len(robot.shifts)):
+        for s in np.linspace(0.0, 1.0, TIMES):
+            (x, q), (y, p) = robot.at(j, s), other.at(j, s)
+            world = p.apply(n)
+            low = -hull_reach(hull, -q.inv().apply(world))
+            found.append(np.einsum("nd,nd->n", world, x - y) + low - part_reach(part, n))
+    return np.asarray(found)
+
+
+def clear_passes(
+    hull: CollisionShape, part: ShapeCfg | trimesh.Trimesh, n: int, *, moves: bool, clearance: float, k: int = 1
+) -> tuple[Motion, Motion]:
+    """Return motions whose shapes stay a clearance apart, and come nearly as close; half of them pass along a face."""
+    rng = np.random.default_rng(2)
+    robot = random_motion(rng, n, k, speed=(5.0, 40.0), spin=30.0)
+    other = still_or_moving(rng, n, k, moves=moves)
+    normal = directions(rng, n)
+    normal[::2] = np.eye(3)[rng.integers(3, size=len(normal[::2]))]
+    if isinstance(part, ShapeCfg) and part.kind == "plane":
+        normal[:] = (0.0, 0.0, 1.0)
+    world = other.attitude.apply(normal)
+    along = robot.shifts - other.shifts
+    robot = Motion(
+        robot.start,
+        robot.attitude,
+        robot.shifts - 0.95 * (along * world).sum(axis=-1, keepdims=True) * world,
+        robot.turns,
+    )
+    target = other.start + other.attitude.apply(points_in_part(part, rng, n))
+    robot = robot.moved(target - robot.at(0, 0.5)[0])
+    for _ in range(4):
+        least = heights(hull, part, robot, other, normal).min(axis=0)
+        robot = robot.moved((clearance - least)[:, None] * world)
+    least = heights(hull, part, robot, other, normal).min(axis=0)
+    assert least.min() > clearance - ROUNDING
+    assert np.median(least) < 1.5 * clearance
+    return robot, other
+
+
+def reported(
+    hull: CollisionShape,
+    shape: ShapeCfg,
+    robot: Motion,
+    other: Motion,
+    *,
+    moves: bool,
+    motion: MotionCfg = MotionCfg(kind="twist"),  # noqa: B008 (frozen)
+    end: float = 100.0,
+    path: tuple[float, float] = (0.0, 0.0),
+) -> NDArray[np.bool_]:
+    """Return which flights the collision test calls crashes, (N,).
+
+    Args:
+        hull: The robot.
+        shape: The part.
+        robot: Motion of the robot.
+        other: Of the part: its start and the twist of its first substep.
+        moves: Whether the part moves.
+        motion: How it does.
+        end: Half the size of the bounds [m].
+        path: Ends of its way along x [m], if it moves between waypoints.
+    """
+    n, k = len(robot.start), len(robot.shifts)
+    cfg = EnvironmentCfg(
+        summary="a test", source="test", physics_steps_per_env_step=k, **ROOM,
+        assets=(AssetCfg(
+            name="part", count=1, keep=True, shapes=(shape,), position_ratio_low=(0.5,) * 3, position_ratio_high=(0.5,) * 3,
+            motion=motion if moves else MotionCfg(),
+        ),),
+    )  # fmt: skip
+    gtd = GlobalTensorDictionary(device=torch.device("cpu"), sizes={"E": n, "A": 1})
+    random = Randomness(n, seed=1)
+    ends = torch.full((n, 3), end)
+    made = AssetManager(
+        cfg, gtd, num_envs=n, device=torch.device("cpu"), random=random, bounds_min=-ends, bounds_max=ends
+    )
+    random.begin(torch.ones(n, dtype=torch.bool))
+    made.reset(random.mask)
+    if motion.kind == "waypoints":
+        made._waypoints[..., 0] = torch.tensor(path)
+    state = np.concatenate((other.start, other.attitude.as_quat(), other.shifts[0] / DT, other.turns[0] / DT), axis=1)
+    gtd["env_asset_state_tensor"][:, 0] = torch.as_tensor(state)
+    poses = [robot.at(0, 0.0), *(robot.at(j, 1.0) for j in range(k))]
+    position = torch.as_tensor(np.asarray([x for x, _ in poses])).float()
+    attitude = torch.as_tensor(np.asarray([q.as_quat() for _, q in poses])).float()
+    distance, crashes = torch.full((n,), torch.nan), torch.zeros(n, dtype=torch.bool)
+    test = CollisionTest(
+        made.scene, (hull,), position=position[-1], attitude=attitude[-1], distance_out=distance, moving=made.moving
+    )
+    test.follow(position, attitude, dt=DT, crashes_out=crashes)
+    test.step()
+    return crashes.numpy()
+
+
+def shape_of(name: str, folder: Path) -> tuple[ShapeCfg, ShapeCfg | trimesh.Trimesh]:
+    """Return a part for the package and for the truth."""
+    if name in PARTS:
+        return PARTS[name], PARTS[name]
+    mesh = make_mesh(name)
+    mesh.export(folder / f"{name}.obj")
+    return ShapeCfg(kind="mesh", path=str(folder / f"{name}.obj")), mesh
+
+
+@pytest.mark.parametrize("moves", [False, True], ids=["still", "moving"])
+@pytest.mark.parametrize("name", [*PARTS, *MESHES])
+@pytest.mark.parametrize("hull", HULLS)
+@pytest.mark.parametrize("flights", [500, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_no_crossing_is_missed(hull: str, name: str, moves: bool, flights: int, tmp_path: Path) -> None:
+    shape, part = shape_of(name, tmp_path)
+    flights = (
+        flights // 5 if name in ("slab", "torus") and flights < 1000 else flights
+    )  # of many faces, 0.1 to 0.5 ms each
+    robot, other = crossings(HULLS[hull], part, flights, moves=moves)
+    assert np.flatnonzero(~reported(HULLS[hull], shape, robot, other, moves=moves)).tolist() == []
+
+
+@pytest.mark.parametrize("moves", [False, True], ids=["still", "moving"])
+@pytest.mark.parametrize("name", [*PARTS, *MESHES])
+@pytest.mark.parametrize("hull", HULLS)
+def test_a_clear_pass_is_not_reported(hull: str, name: str, moves: bool, tmp_path: Path) -> None:
+    shape, part = shape_of(name, tmp_path)
+    robot, other = clear_passes(HULLS[hull], part, 100, moves=moves, clearance=CLEAR)
+    assert np.flatnonzero(reported(HULLS[hull], shape, robot, other, moves=moves)).tolist() == []
+
+
+BALL = PARTS["sphere"]  # of 0.05 m; the hull has 0.04 m
+
+
+@pytest.mark.parametrize(
+    ("at", "motion", "crashes"),
+    [
+        (9.05, "bounce", True),  # the ball turns at 9.0 and reaches 9.05, the hull from 9.01 on
+        (9.0915, "bounce", False),  # from 9.0515 on
+        (8.5, "bounce", False),
+        (9.05, "waypoints", True),
+        (9.0915, "waypoints", False),
+        (-8.95, "wrap", True),  # the ball goes on at -9, and ends at -8.8
+        (8.97, "wrap", True),  # before
+        (0.0, "wrap", False),  # it is nowhere between
+        (-9.2, "wrap", False),
+    ],
+)
+def test_a_ball_that_turns_or_is_wrapped_is_swept_along_its_own_way(at: float, motion: str, crashes: bool) -> None:
+    """From x = 8.9 m at 30 m/s in 10 ms, in bounds of 9 m; the hull is at rest, and nothing touches at either pose."""
+    cfg = (
+        MotionCfg(kind="waypoints", speed=(1.0, 1.0))
+        if motion == "waypoints"
+        else MotionCfg(kind="twist", at_bounds=motion)
+    )
+    rest, level = np.zeros((1, 1, 3)), Rotation.identity(1)
+    center = np.asarray(HULLS["sphere"].center)
+    robot = Motion(np.array([[at, 0.0, 0.0]]) - center, level, rest, rest)
+    other = Motion(np.array([[8.9, 0.0, 0.0]]), level, rest + np.array([30.0 * DT, 0.0, 0.0]), rest)
+    found = reported(HULLS["sphere"], BALL, robot, other, moves=True, motion=cfg, end=9.0, path=(-9.0, 9.0))
+    assert found.tolist() == [crashes]
+
+
+@pytest.mark.parametrize("hull", HULLS)
+def test_a_hull_that_rests_on_a_plane_or_leaves_it_does_not_touch_it(hull: str) -> None:
+    """At gap 0 to float32, at rest, upwards and turning about the vertical: nothing comes nearer."""
+    up, level = np.array([[0.0, 0.0, 1.0]]), Rotation.identity(3)
+    shifts = np.array([[[0.0, 0.0, 0.0], [0.1, 0.0, 0.2], [0.2, 0.0, 0.0]]])
+    turns = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.3]]])
+    start = hull_reach(HULLS[hull], -up)[0] * up + 1e-5
+    found = reported(
+        HULLS[hull], PARTS["plane"], Motion(np.tile(start, (3, 1)), level, shifts, turns),
+        Motion(np.zeros((3, 3)), level, 0.0 * shifts, 0.0 * turns), moves=False,
+    )  # fmt: skip
+    assert found.tolist() == [False, False, False]
