@@ -13,6 +13,7 @@ Source: Lamb (1932), Hydrodynamics, articles 121-124; Hairer, Lubich, Wanner (20
 import torch
 from torch import Tensor
 
+from aerial_gym.math.short import dot, inverse_3x3
 from aerial_gym.physics.rigid_body import multiply_rows
 
 ITERATIONS = 5
@@ -40,7 +41,7 @@ def coasted(
     """
     mean = _mean_ang_vel(mass, inertia, lin_vel, ang_vel, dt)
     a = 0.5 * dt * mean
-    square = (a * a).sum(-1, keepdim=True)
+    square = dot(a, a).unsqueeze(-1)
     more = -cross(a, _turned_half(a, mass * lin_vel)) / mass  # of the mean velocity, body axes that turn
     end = lin_vel + 2.0 * more
     move = dt / (1.0 + square) * (more + cross(a, lin_vel + more) - square * lin_vel)
@@ -60,18 +61,11 @@ def _mean_ang_vel(mass: Tensor, inertia: Tensor, lin_vel: Tensor, ang_vel: Tenso
         more = half * _turned_half(half * w, cross(p, unit))
         gyroscopic = cross(unit, spun) + cross(w, inertia)
         slopes = inertia + half * (gyroscopic + cross(more / mass.unsqueeze(1), p) + cross(v, more))
-        mean = mean - _solve(slopes, missing)
+        mean = mean - dot(inverse_3x3(slopes.mT), missing.unsqueeze(1))
     return mean
 
 
 def _turned_half(a: Tensor, vector: Tensor) -> Tensor:
     """Return ``(1 + [a])^-1 b``, (..., 3): the mean of b and of ``(1 + [a])^-1 (1 - [a]) b``."""
-    along = (a * vector).sum(-1, keepdim=True) * a
-    return (vector - cross(a, vector) + along) / (1.0 + (a * a).sum(-1, keepdim=True))
-
-
-def _solve(columns: Tensor, right: Tensor) -> Tensor:
-    """Return x with ``x_1 c_1 + x_2 c_2 + x_3 c_3 = right``, (E, 3), for columns c_j (E, 3, 3) in rows: Cramer's rule."""
-    a, b, c = columns.unbind(1)
-    parts = (right * cross(b, c), a * cross(right, c), a * cross(b, right))
-    return torch.stack([part.sum(-1) for part in parts], dim=-1) / (a * cross(b, c)).sum(-1, keepdim=True)
+    along = dot(a, vector).unsqueeze(-1) * a
+    return (vector - cross(a, vector) + along) / (1.0 + dot(a, a).unsqueeze(-1))

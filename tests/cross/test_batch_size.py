@@ -41,6 +41,7 @@ def assert_rows_alike(
     effects=(),
     network=None,
     adjust=None,
+    integrator: str | None = None,
     first: int = 0,
     many: int = MANY,
 ) -> None:
@@ -61,7 +62,7 @@ def assert_rows_alike(
         backend = TorchBackend()
         numbers = Randomness(count, first_env=rows.start or 0)
         numbers.begin(torch.ones(count, dtype=torch.bool))
-        backend.allocate(model, law, integrator="rk4" if effects else "euler", random=numbers)
+        backend.allocate(model, law, integrator=integrator or ("rk4" if effects else "euler"), random=numbers)
         state = BodyState(**{name: kept[rows].to(dtype, copy=True) for name, kept in vars(start).items()})
         for _ in range(2):
             backend.step(state, actions[rows].to(dtype), DT, 2)
@@ -89,6 +90,12 @@ def test_with_all_effects_at_once_on_any_number_of_threads(threads: int, dtype: 
 def test_with_a_learned_residual() -> None:
     for dtype in (torch.float32, torch.float64):
         assert_rows_alike(ROBOTS.get("tinyprop"), "lee_rates_control", dtype, network=random_network(16, 12))
+
+
+def test_with_added_mass_under_euler() -> None:
+    """That step has code of its own."""
+    effects = ("added_mass", "added_inertia", "slung_payload")
+    assert_rows_alike(lopsided_robot(), "no_control", torch.float32, effects=effects, integrator="euler")
 
 
 @pytest.mark.parametrize("robot", ["tinyprop", "omnidirectional_octarotor"])
