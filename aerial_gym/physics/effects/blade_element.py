@@ -5,15 +5,14 @@ turns at w moves through the air with ``lambda_c`` along its thrust n and with t
 units of its tip speed w R. Forces are in units of ``rho pi R² (w R)²``, torques of that times R; 0 marks hover at the same w::
 
     C_T = s a / 2 (Theta + mu² T / 2 - lambda / 2),     Theta = t0 / 3 + t1 / 4,  T = t0 + t1 / 2,  lambda = lambda_c + lambda_i
-    b_0 = 4 g / (1 + k) (t0 / 4 + t1 / 5 + mu² (t0 / 4 + t1 / 6) - lambda / 3),   g = lock / 8,   k = (flap_frequency / w)²
-    k b_s - g (1 - mu² / 2) b_c = 8 g (Theta - lambda / 4),                       k b_c + g (1 + mu² / 2) b_s = -4 / 3 g b_0
-    C_H = s a / 2 (lambda T / 2 - b_c (Theta - 3/4 lambda) + b_0 (b_0 / 4 + b_s / 6) + mu² b_c² / 4) + 2 P0
-    C_Y = s a / 2 (-b_s (Theta - 3/4 lambda) - b_0 (3/4 t0 + t1 / 2 - 3/2 lambda + b_c / 6)
-                   + mu² (b_0 b_c + b_c b_s / 4 - b_s T / 2))
+    b_c = -8 g² (1 + mu² / 2) m_s / d,  b_s = 8 g k m_s / d,    d = k² + g² (1 - mu⁴ / 4),  m_s = Theta - lambda / 4
+    g = lock / 8,   k = (flap_frequency / w)²
+    C_H = s a / 2 (lambda T / 2 - b_c (Theta - 3/4 lambda) + mu² b_c² / 4) + 2 P0
+    C_Y = s a / 2 b_s (3/4 lambda - Theta + mu² (b_c / 4 - T / 2))
     C_Q = lambda C_T + P0 (1 + 3 mu²) - mu² C_H,        P0 = C_Q0 - lambda_0 C_T0
 
 for blades of solidity s, lift slope a, and pitch ``t0 + t1 r`` at the share r of the radius, which stall nowhere. They flap by
-``b_0 + mu (b_c cos psi + b_s sin psi)``, with psi from downstream. ``-b_c C_T`` is the thrust that leans back with the disc;
+``mu (b_c cos psi + b_s sin psi)``, with psi from downstream. ``-b_c C_T`` is the thrust that leans back with the disc;
 ``b_c s a lambda / 8`` of it is lost, as flapping changes the drag in the plane. The pitch follows from the thrust map
 (``Theta = 2 C_T0 / (s a) + lambda_0 / 2``) and the profile drag from the torque map (P0): a vehicle at rest in still air is
 just as declared. ``lambda_i`` is that of ``induced_flow`` for the thrust C_T. The force on the hub is
@@ -23,10 +22,11 @@ just as declared. ``lambda_i`` is that of ``induced_flow`` for the thrust C_T. T
 and the hub feels the drag torque ``-o C_Q n`` and the moment of blades that resist their flapping,
 ``-s a / 2 k / (8 g) (b_c m x n + o b_s m)``. Stiff blades (k >> g) pass the lift of the advancing side on as a moment to the
 side, hinged ones (k = 0) lean back. Power is in balance, ``C_Q + mu² C_H = lambda C_T + P0 (1 + 3 mu²)``. The integrals over
-radius and azimuth are exact for small angles and flapping of one harmonic. Between hover and the windmill brake state the
+radius and azimuth are exact for small angles and this flapping. Between hover and the windmill brake state the
 induced velocity is the measured mean of the vortex ring (``induced_flow``); thrust against n has no induced velocity.
-Left out: reverse flow and stall (beyond mu = 1 or ``|lambda_c|`` = 1 coefficients stay what they are there), higher harmonics
-of flapping, a lag of the inflow, its slope across the disc, tip loss, and turning of the hub but for its velocity.
+Left out: reverse flow and stall (beyond mu = 1 or ``|lambda_c|`` = 1 coefficients stay what they are there), coning, which also
+depends on how blades are built, higher harmonics of flapping, a lag of the inflow, its slope across the disc, tip loss, and
+turning of the hub but for its velocity.
 
 In a climb only the product s a matters. With s from the chord at 3/4 of the radius, the lift slope that fits the loss of
 thrust of three tested propellers best is 3.3 (``docs/rotors.md``), not the 5.7 of a thin section: blades are short, slow and
@@ -176,16 +176,11 @@ class BladeElement(WrenchEffect):
         profile = hover_torque - hover_inflow * hover_thrust
         square, g, k = mu.square(), 0.125 * lock, (flap / rate).square()
         whole, uneven, tilted = root + 0.5 * twist, theta - 0.25 * inflow, theta - 0.75 * inflow
-        coning = 0.25 * root + 0.2 * twist + square * (0.25 * root + twist / 6.0) - inflow / 3.0
-        coning = 4.0 * g * coning / (1.0 + k)
-        resists = 1.0 / (k * k + g * g * (1.0 - 0.25 * square.square()))
-        back = -resists * (k * coning / 6.0 + g * uneven * (1.0 + 0.5 * square))  # b_c / (8 g)
-        aside = resists * (k * uneven - g * coning / 6.0 * (1.0 - 0.5 * square))  # b_s / (8 g)
+        resists = uneven / (k * k + g * g * (1.0 - 0.25 * square.square()))
+        back, aside = -resists * g * (1.0 + 0.5 * square), resists * k  # b_c / (8 g), b_s / (8 g)
         b_c, b_s = 8.0 * g * back, 8.0 * g * aside
-        drag = 0.5 * inflow * whole - b_c * tilted + coning * (0.25 * coning + b_s / 6.0) + 0.25 * square * b_c.square()
-        drag = 0.5 * lift * drag + 2.0 * profile
-        side = -b_s * tilted - coning * (0.75 * root + 0.5 * twist - 1.5 * inflow + b_c / 6.0)
-        side = 0.5 * lift * (side + square * (coning * b_c + 0.25 * b_c * b_s - 0.5 * b_s * whole))
+        drag = 0.5 * lift * (0.5 * inflow * whole - b_c * tilted + 0.25 * square * b_c.square()) + 2.0 * profile
+        side = 0.5 * lift * b_s * (square * (0.25 * b_c - 0.5 * whole) - tilted)
         torque = inflow * thrust + profile * (1.0 + 3.0 * square) - square * drag
         stiff = 0.5 * lift * k * unit * radius
         way = sign.unsqueeze(-1) * condition.axis
@@ -242,17 +237,13 @@ class BladeElement(WrenchEffect):
                 whole = pitch + 0.5 * twist
                 uneven = theta - 0.25 * inflow
                 tilted = theta - 0.75 * inflow
-                coning = 0.25 * pitch + 0.2 * twist + square * (0.25 * pitch + twist / 6.0) - inflow / 3.0
-                coning = 4.0 * g * coning * reciprocal(1.0 + k)
-                resists = reciprocal(k * k + g * g * (1.0 - 0.25 * square * square))
-                back = -resists * (k * coning / 6.0 + g * uneven * (1.0 + 0.5 * square))
-                aside = resists * (k * uneven - g * coning / 6.0 * (1.0 - 0.5 * square))
+                resists = uneven * reciprocal(k * k + g * g * (1.0 - 0.25 * square * square))
+                back = -resists * g * (1.0 + 0.5 * square)
+                aside = resists * k
                 b_c = 8.0 * g * back
                 b_s = 8.0 * g * aside
-                drag = 0.5 * inflow * whole - b_c * tilted + coning * (0.25 * coning + b_s / 6.0)
-                drag = 0.5 * lift * (drag + 0.25 * square * b_c * b_c) + 2.0 * profile
-                side = -b_s * tilted - coning * (0.75 * pitch + 0.5 * twist - 1.5 * inflow + b_c / 6.0)
-                side = 0.5 * lift * (side + square * (coning * b_c + 0.25 * b_c * b_s - 0.5 * b_s * whole))
+                drag = 0.5 * lift * (0.5 * inflow * whole - b_c * tilted + 0.25 * square * b_c * b_c) + 2.0 * profile
+                side = 0.5 * lift * b_s * (square * (0.25 * b_c - 0.5 * whole) - tilted)
                 torque = inflow * thrust + profile * (1.0 + 3.0 * square) - square * drag
                 stiff = 0.5 * lift * k * unit * radius
                 across = wp.cross(flow, way)
