@@ -48,7 +48,7 @@ def check(robot: RobotCfg, controller: str | ControllerCfg, dt: float = 0.005) -
 
 
 def fallen(
-    cfg: ControllerCfg, rolls_deg: list[float], seconds: float = 0.6, dt: float = 0.005
+    cfg: ControllerCfg, rolls_deg: list[float], seconds: float = 0.4, dt: float = 0.005
 ) -> tuple[list[bool], list[float]]:
     """Return whether body z points up after a fall from rest, and the body rates [rad/s] then, for each start."""
     count = len(rolls_deg)
@@ -129,7 +129,7 @@ def test_clamped_rotors_give_no_torque_to_a_law_that_asks_for_negative_thrust() 
     ],
 )
 def test_the_verdict_is_that_of_a_flight(cfg: ControllerCfg, rolls: list[float], over: list[bool]) -> None:
-    """After 0.6 s a vehicle points up, or falls at a body rate of 0; a start at that roll is accepted, or refused."""
+    """After 0.4 s a vehicle points up, or falls at a body rate of 0; a start at that roll is accepted, or refused."""
     turned, rates = fallen(cfg, rolls)
     assert turned == over
     for roll, turns, rate in zip(rolls, turned, rates, strict=True):
