@@ -20,12 +20,14 @@ from aerial_gym.assets.views import check_tensor
 from aerial_gym.config.environment import FIRST_INSTANCE_ID, EnvironmentCfg, PartCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError, ShapeError
+from aerial_gym.interop import with_usual_settings
 from aerial_gym.math.random import Randomness, take_mask
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 
 _OWNER = "AssetManager"
 
 
+@with_usual_settings
 class AssetManager:
     """Owns the obstacle states. Rows are kept assets first, then the others, shuffled in each environment."""
 

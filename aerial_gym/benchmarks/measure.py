@@ -13,7 +13,7 @@ from typing import Protocol
 import torch
 
 from aerial_gym.errors import AerialGymError, ConfigError
-from aerial_gym.interop import wait_for_all
+from aerial_gym.interop import recorded
 
 WARM_UP_CALLS = 3
 """Calls before a capture: kernels are compiled and buffers made, which a graph cannot hold."""
@@ -114,9 +114,8 @@ def batch_of(call: Callable[[], None], launches: int, device: torch.device) -> C
         with torch.cuda.stream(side):
             _repeat(call, WARM_UP_CALLS)
         torch.cuda.current_stream(device).wait_stream(side)
-        wait_for_all()
         graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(graph):
+        with recorded(graph, device):
             _repeat(call, launches)
 
     def replay(

@@ -24,7 +24,7 @@ from aerial_gym.control import CONTROLLERS, check_closed_loop
 from aerial_gym.control.upside_down import check_starts
 from aerial_gym.env_manager.touch import Touch, recorded
 from aerial_gym.errors import ClosedError, ConfigError
-from aerial_gym.interop import resolve_device
+from aerial_gym.interop import resolve_device, with_usual_settings
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics.state import JointedState
 from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
@@ -51,6 +51,7 @@ def _check_gradients(env: EnvironmentCfg, *, differentiable: bool, dtype: torch.
         )
 
 
+@with_usual_settings
 class EnvManager:
     """A batch of environments: obstacles, one robot each, sensors, and the Global Tensor Dictionary they share."""
 

@@ -20,7 +20,7 @@ from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager.catalog import SIMS
 from aerial_gym.env_manager.env_manager import EnvManager
 from aerial_gym.errors import AerialGymError, CapabilityError, ConfigError
-from aerial_gym.interop import resolve_device
+from aerial_gym.interop import resolve_device, with_usual_settings
 from aerial_gym.robots.catalog import robot_by_name
 
 OUT_OF_MEMORY = ("allocate memory", "out of memory", "not enough memory", "overflow", "Failed to allocate", "too large")
@@ -71,6 +71,7 @@ def told_memory(num_envs: int, device: torch.device) -> Iterator[None]:
     raise CapabilityError(too_large.format(reason))
 
 
+@with_usual_settings
 class SimBuilder:
     """Builds an ``EnvManager`` from names, or from configurations."""
 

@@ -6,21 +6,25 @@ from aerial_gym.lazy import exports
 
 if TYPE_CHECKING:
     from aerial_gym.interop.devices import resolve_device
-    from aerial_gym.interop.launches import RecordedLaunch, compile_ahead, wait_for, wait_for_all
-    from aerial_gym.interop.streams import on_torch_stream, start_warp
+    from aerial_gym.interop.launches import RecordedLaunch, compile_ahead, wait_for
+    from aerial_gym.interop.settings import usual_settings, with_usual_settings
+    from aerial_gym.interop.streams import on_device, on_torch_stream, recorded, start_warp
     from aerial_gym.interop.threads import launch_side_by_side, one_thread, split
 
 __all__ = [
     "RecordedLaunch",
     "compile_ahead",
     "launch_side_by_side",
+    "on_device",
     "on_torch_stream",
     "one_thread",
+    "recorded",
     "resolve_device",
     "split",
     "start_warp",
+    "usual_settings",
     "wait_for",
-    "wait_for_all",
+    "with_usual_settings",
 ]
 
 __getattr__, __dir__ = exports(__name__, __file__)

@@ -6,20 +6,24 @@ from aerial_gym.errors import ConfigError
 
 
 def resolve_device(name: str | torch.device) -> torch.device:
-    """Return the torch device of a name; ``auto`` takes the first GPU if there is one.
+    """Return the torch device of a name; ``auto`` and ``cuda`` take torch's current GPU, which is the first by default.
+
+    ``auto`` takes the CPU if there is no GPU.
 
     Raises:
         ConfigError: If the name asks for a GPU that is not there, or is no device at all.
     """
     if str(name) == "auto":
-        return torch.device("cuda:0" if torch.cuda.is_available() else "cpu")
+        name = "cuda" if torch.cuda.is_available() else "cpu"
     try:
         device = torch.device(name)
     except RuntimeError:
         raise ConfigError(f"device {name!r}: must be auto, cpu, cuda or cuda:N") from None
     if device.type == "cuda":
         count = torch.cuda.device_count()
-        if (device.index or 0) >= count:
+        chosen = torch.cuda.current_device() if torch.cuda.is_initialized() else 0  # asking would start CUDA
+        index = chosen if device.index is None else device.index
+        if index >= count:
             raise ConfigError(f"device {str(name)!r}: this machine shows {count} CUDA devices. Use device='cpu'.")
-        return torch.device("cuda", device.index or 0)
-    return device
+        return torch.device("cuda", index)
+    return torch.device(device.type) if device.type == "cpu" else device  # cpu:0 is cpu

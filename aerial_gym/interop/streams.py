@@ -11,6 +11,7 @@ from torch import Tensor
 
 from aerial_gym.errors import StorageError
 from aerial_gym.interop.kernel_log import KernelLog
+from aerial_gym.interop.launches import wait_for_all
 
 CHOOSE_CACHE = "Set WARP_CACHE_PATH to a folder that can be written"
 """Remedy where compiled kernels cannot be kept."""
@@ -38,7 +39,7 @@ def start_warp() -> None:
         with nullcontext() if torch.cuda.is_available() else _silent_stderr():
             wp.init()
     except OSError as error:
-        raise StorageError(_no_cache(error.filename, error.strerror)) from None
+        raise StorageError(_no_cache(error.filename, error.strerror or str(error))) from None
     cache = wp.config.kernel_cache_dir
     if cache is not None and not os.access(cache, os.W_OK) and not os.listdir(cache):
         raise StorageError(_no_cache(cache, "it is empty and read-only"))
@@ -60,6 +61,31 @@ def _silent_stderr() -> Iterator[None]:
         os.dup2(kept, 2)
         os.close(kept)
         os.close(nothing)
+
+
+@contextmanager
+def on_device(device: torch.device) -> Iterator[None]:
+    """Make a GPU torch's current one inside; a CPU changes nothing."""
+    with torch.cuda.device(device) if device.type == "cuda" else nullcontext():
+        yield
+
+
+@contextmanager
+def recorded(graph: torch.cuda.CUDAGraph, device: torch.device, *, errors: str = "global") -> Iterator[None]:
+    """Record what is launched inside into a CUDA graph, on a stream of its own GPU.
+
+    torch's own stream for recordings belongs to the GPU of the first one. Kernels that are still being compiled are waited for:
+    a GPU loads none during a recording.
+
+    Args:
+        graph: Receives the launches.
+        device: Where they run.
+        errors: What torch forbids meanwhile, its ``capture_error_mode``.
+    """
+    wait_for_all()
+    stream = torch.cuda.Stream(device)
+    with on_device(device), torch.cuda.graph(graph, stream=stream, capture_error_mode=errors):
+        yield
 
 
 @contextmanager

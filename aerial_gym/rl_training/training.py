@@ -19,7 +19,7 @@ import torch
 from aerial_gym.config.storage import told_storage, write_whole
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.errors import AerialGymError, ConfigError, MissingDependencyError, StorageError, TrainingError
-from aerial_gym.interop import resolve_device
+from aerial_gym.interop import on_device, resolve_device, usual_settings
 from aerial_gym.physics import BACKENDS
 from aerial_gym.rl_training.policies.load import checkpoint_of, load_policy
 from aerial_gym.rl_training.ranks import Ranks, joined_ranks, own_device
@@ -75,6 +75,7 @@ class TrainingResult:
     """Rows that were NaN or infinite, and so ended, in this session."""
 
 
+@usual_settings
 def train(
     cfg: TrainingCfg,
     out: str | Path,
@@ -235,19 +236,22 @@ def _run(
     random.seed(seed)
     if cfg.trainer == "ppo":
         adapter.prepare(resolve_device(own_device(cfg.device)))
-    with task_registry.make_task(
-        cfg.task,
-        num_envs=cfg.num_envs,
-        device=own_device(cfg.device),
-        seed=cfg.seed,
-        first_env=ranks.rank * cfg.num_envs,
-        robot=cfg.robot,
-        controller=cfg.controller,
-        backend=cfg.backend,
-        encoder=cfg.encoder,
-        capture=False if cfg.trainer in OWN else None,
-        differentiable=cfg.trainer == "apg",
-    ) as task:
+    with (
+        task_registry.make_task(
+            cfg.task,
+            num_envs=cfg.num_envs,
+            device=own_device(cfg.device),
+            seed=cfg.seed,
+            first_env=ranks.rank * cfg.num_envs,
+            robot=cfg.robot,
+            controller=cfg.controller,
+            backend=cfg.backend,
+            encoder=cfg.encoder,
+            capture=False if cfg.trainer in OWN else None,
+            differentiable=cfg.trainer == "apg",
+        ) as task,
+        on_device(task.device),
+    ):
         interruption.check()
         task.practise()
         folder.add_session(cfg, str(task.device))

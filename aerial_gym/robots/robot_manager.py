@@ -16,6 +16,7 @@ from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import Controller, make_controller
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.errors import ShapeError
+from aerial_gym.interop import with_usual_settings
 from aerial_gym.interop.rows import MaskedRows
 from aerial_gym.math.random import Randomness, take_mask
 from aerial_gym.physics import (
@@ -49,6 +50,7 @@ from aerial_gym.robots.state_keys import RobotTensors, declare_robot_tensors
 from aerial_gym.robots.surroundings import Surroundings
 
 
+@with_usual_settings
 class RobotManager:
     """Owns the robot's tensors in the GTD."""
 

@@ -28,7 +28,7 @@ from torch import Tensor
 from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.config.imu import ImuCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp
+from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp, with_usual_settings
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, random_arrays, stream_of, substream
 from aerial_gym.math.random import Purpose, Randomness, take_mask
@@ -241,6 +241,7 @@ def _reset(mask: wp.array[wp.bool], motion: Motion, unit: Unit, random: RandomAr
             out.line[k, e, i] = out.fresh[e, i]
 
 
+@with_usual_settings
 class Imu:
     """One IMU in every environment, with all views made at construction."""
 

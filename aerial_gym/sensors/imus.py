@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from torch import Tensor
 
 from aerial_gym.config.imu import ImuCfg
+from aerial_gym.interop import with_usual_settings
 from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.registry.state import below
@@ -15,6 +16,7 @@ from aerial_gym.sensors.imu import Imu
 from aerial_gym.sensors.mounts import Carrier, Mounted
 
 
+@with_usual_settings
 class ImuSet:
     """Owns the measurements. The first IMU has the plain key, a further one has its own name in front of it."""
 

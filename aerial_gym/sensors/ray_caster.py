@@ -19,7 +19,7 @@ from aerial_gym.assets.scene import Scene
 from aerial_gym.assets.views import vector_view
 from aerial_gym.config.sensor import RangeSensorCfg, RosetteCfg, ScannedCfg, StereoCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.interop import RecordedLaunch, launch_side_by_side, on_torch_stream, split
+from aerial_gym.interop import RecordedLaunch, launch_side_by_side, on_torch_stream, split, with_usual_settings
 from aerial_gym.math.draws import random_arrays
 from aerial_gym.math.random import Randomness
 from aerial_gym.sensors.flow import Flow, make_flow, record_motion
@@ -44,6 +44,7 @@ BLOCK_DIM = 64
 """Threads of a block; 128 is 1 % and 256 is 7 to 24 % slower (docs/results/rendering.md)."""
 
 
+@with_usual_settings
 class RayCaster:
     """The sensors of one kind in every environment, with all views made at construction."""
 

@@ -12,6 +12,7 @@ from aerial_gym.assets import Scene
 from aerial_gym.assets.views import check_tensor
 from aerial_gym.config.sensor import RangeSensorCfg, RosetteCfg
 from aerial_gym.errors import ConfigError, ShapeError
+from aerial_gym.interop import with_usual_settings
 from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.registry.state import below
@@ -23,6 +24,7 @@ from aerial_gym.sensors.ray_caster import RayCaster
 _OWNER = "SensorManager"
 
 
+@with_usual_settings
 class SensorManager:
     """Owns the images. The first sensor has the plain keys, a further one has its own name in front of them."""
 

@@ -76,6 +76,7 @@ class TaskRegistry(Registry[TaskCfg]):
         import torch
 
         from aerial_gym.env_manager import SimBuilder
+        from aerial_gym.interop import usual_settings
         from aerial_gym.robots.catalog import robot_by_name
         from aerial_gym.task.task import Task
 
@@ -107,7 +108,8 @@ class TaskRegistry(Registry[TaskCfg]):
             dtype=dtype or torch.float32,
         )
         make = imported(name) if ":" in name else None
-        return (make if isinstance(make, type) else Task)(cfg, built, capture=capture)
+        made = make if isinstance(make, type) else Task
+        return usual_settings(lambda: made(cfg, built, capture=capture))()  # also what a user's class makes
 
     def get(self, name: str) -> TaskCfg:
         """Return the configuration of a task: a registered one, that of a file, or that of ``module:Name``.

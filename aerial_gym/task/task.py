@@ -15,6 +15,7 @@ from torch import Tensor
 from aerial_gym.config.task import POLICY, TaskCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError, ShapeError
+from aerial_gym.interop import on_device, with_usual_settings
 from aerial_gym.math.random import Purpose, counted_uniform
 from aerial_gym.registry.state import below, check_state, identity, restore, saved
 from aerial_gym.robots.watch import Watch
@@ -52,6 +53,7 @@ StepResult = tuple[Observation, Tensor, Tensor, Tensor, dict[str, Tensor]]
 """Observation, reward, terminated, truncated, info."""
 
 
+@with_usual_settings
 class Task:
     """Commands, actions, observations, rewards and terminations around an ``EnvManager``, as the configuration says.
 
@@ -181,8 +183,10 @@ class Task:
         self._capture_at_reset = False
         level = None if self.curriculum is None else self.curriculum.state()
         self._begin(self._all)
-        check_untraced([self._judge.rows, self._observer.rows, *([self._memory] if self._memory else [])], self.values)
-        self._graph = StepGraph(self._step, (self.num_envs, self.num_actions), self.device)
+        parts = [self._judge.rows, self._observer.rows, *([self._memory] if self._memory else [])]
+        with on_device(self.device):
+            check_untraced(parts, self.values)
+            self._graph = StepGraph(self._step, (self.num_envs, self.num_actions), self.device)
         self.values.own[TALLIES].zero_()  # of the steps before the recording
         self.env.restart(self.env.seed)
         if self.curriculum is not None and level is not None:
@@ -279,6 +283,8 @@ class Task:
             )
         if self.env.robot_manager.take_writes() and self.captured:
             self._graph, self._capture_at_reset = None, True
+        if self.values.graph is None:
+            actions = actions.to(torch.float32)  # the caller's default type may be another one
         result = self._step(actions) if self._graph is None else self._graph.replay(actions)
         self._watch.look()
         return result

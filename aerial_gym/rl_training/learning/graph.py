@@ -6,7 +6,7 @@ from collections.abc import Callable
 import torch
 
 from aerial_gym.errors import CapabilityError
-from aerial_gym.interop import wait_for_all
+from aerial_gym.interop import recorded
 
 WARM_UP_ITERATIONS = 1
 """Iterations before the recording, in which kernels are compiled and memory is taken; they count as all others do."""
@@ -59,11 +59,10 @@ class Repeated:
             CapabilityError: If something in an iteration waits for the GPU.
         """
         if self._graph is None:
-            wait_for_all()
             graph = torch.cuda.CUDAGraph()
             graph.register_generator_state(self._generator)
             try:
-                with torch.cuda.graph(graph, capture_error_mode=self._forbids):
+                with recorded(graph, self._device, errors=self._forbids):
                     self._iterate()
             except RuntimeError as error:
                 reason = str(error).strip().splitlines()[0]

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.interop import resolve_device
+from aerial_gym.interop import resolve_device, usual_settings
 from aerial_gym.rl_training.policies.body import BodyCfg
 from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
@@ -53,6 +53,7 @@ def told_shapes(shapes: Mapping[str, tuple[int, ...]]) -> str:
     return ", ".join(f"{' x '.join(str(n) for n in shape)} {key}" for key, shape in sorted(shapes.items()))
 
 
+@usual_settings
 def load_policy(source: str | Path, *, device: str | torch.device = "cpu") -> tuple[Policy, TrainingCfg]:
     """Return the policy and the settings of a run folder, or of one checkpoint inside a run folder.
 

@@ -204,7 +204,7 @@ class _Told:
         self._places[new].copy_(numbers, non_blocking=True)
         if not self._cuda:
             return self._places[new].tolist()
-        self._events[new].record()
+        self._events[new].record(torch.cuda.current_stream(self._learner.sums.device))
         if self._looks > 1:
             self._events[old].synchronize()
         return self._places[old].tolist()

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.errors import CapabilityError, ShapeError
-from aerial_gym.interop import wait_for_all
+from aerial_gym.interop import recorded
 from aerial_gym.task.step.by_row import NamedRows
 
 WARM_UP_STEPS = 3
@@ -80,10 +80,9 @@ class StepGraph(Generic[Result]):
             for _ in range(WARM_UP_STEPS):
                 step(self._actions)
         torch.cuda.current_stream(device).wait_stream(stream)
-        wait_for_all()
         self._graph = torch.cuda.CUDAGraph()
         try:
-            with torch.cuda.graph(self._graph):
+            with recorded(self._graph, device):
                 self._result = step(self._actions)
         except RuntimeError as error:
             reason = str(error).strip().splitlines()[0]

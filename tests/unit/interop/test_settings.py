@@ -1,0 +1,161 @@
+"""Torch's global settings, device names and GPUs other than the first change nothing that the package computes."""
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from types import SimpleNamespace
+
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym import SimBuilder, task_registry
+from aerial_gym.errors import ConfigError
+from aerial_gym.interop import recorded, resolve_device, usual_settings
+
+
+@contextmanager
+def default_dtype(dtype: torch.dtype) -> Iterator[None]:
+    torch.set_default_dtype(dtype)
+    try:
+        yield
+    finally:
+        torch.set_default_dtype(torch.float32)
+
+
+@contextmanager
+def default_device(name: str) -> Iterator[None]:
+    torch.set_default_device(name)
+    try:
+        yield
+    finally:
+        torch.set_default_device(None)
+
+
+SETTINGS: dict[str, Callable[[], AbstractContextManager[object]]] = {
+    "float64": lambda: default_dtype(torch.float64),
+    "bfloat16": lambda: default_dtype(torch.bfloat16),
+    "meta": lambda: default_device("meta"),
+    "inference mode": torch.inference_mode,
+    "no gradients": torch.no_grad,
+}
+
+
+CHANGING = ("float64", "meta", "inference mode")
+"""Settings that change what torch makes, one of each kind."""
+
+
+def test_settings_are_usual_inside_and_the_callers_outside() -> None:
+    @usual_settings
+    def made() -> Tensor:
+        return nested()
+
+    @usual_settings
+    def nested() -> Tensor:
+        return torch.zeros(1)
+
+    for name, setting in SETTINGS.items():
+        with setting():
+            before = torch.zeros(1)
+            inner, after = made(), torch.zeros(1)
+        assert (inner.dtype, inner.device.type, inner.is_inference()) == (torch.float32, "cpu", False), name
+        assert (after.dtype, after.device, after.is_inference()) == (before.dtype, before.device, before.is_inference())
+        assert not inner.requires_grad
+
+    @usual_settings
+    def fails() -> None:
+        raise KeyError("lost")
+
+    with default_dtype(torch.float64), pytest.raises(KeyError, match="lost"):
+        fails()
+    assert made().dtype is torch.float32
+
+
+def flown(robot: str, controller: str, env: str, backend: str, device: str = "cpu") -> dict[str, Tensor]:
+    """Return what the GTD holds after three steps and a look."""
+    sim = SimBuilder().build_env(
+        sim_name="base_sim", env_name=env, robot_name=robot, controller_name=controller, num_envs=2, device=device,
+        seed=0, backend=backend,
+    )  # fmt: skip
+    sim.reset()
+    for _ in range(3):
+        sim.step(torch.zeros(2, sim.robot_manager.num_actions, device="cpu"))
+    sim.render()
+    return {key: value.clone() for key, value in sim.gtd.items()}
+
+
+CASES = [
+    ("base_quadrotor_with_camera_imu", "lee_velocity_control", "env_with_obstacles", "warp"),
+    ("base_quadrotor_in_gusts", "px4_position_control", "empty_env", "torch"),
+]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_simulations_are_the_same_under_all_settings(case: tuple[str, str, str, str]) -> None:
+    expected = flown(*case)
+    for name in CHANGING:
+        with SETTINGS[name]():
+            found = flown(*case, "cpu:0")
+        for key, value in expected.items():
+            assert found[key].dtype is value.dtype, (name, key)
+            assert torch.equal(found[key].nan_to_num(), value.nan_to_num()), (name, key)
+
+
+@pytest.mark.parametrize("name", ["position_setpoint_task", "any_quadrotor_task"])
+def test_tasks_are_the_same_under_all_settings(name: str) -> None:
+    """Actions are of the caller's default type; a task that was made under inference mode flies on outside it."""
+
+    def observed(task: object, seed: int) -> Tensor:
+        task.reset(seed=seed)  # type: ignore[attr-defined]
+        for _ in range(3):
+            found = task.step(torch.zeros(2, task.num_actions, device="cpu"))  # type: ignore[attr-defined]
+        return found[0]["observations"].clone()
+
+    expected = observed(task_registry.make_task(name, num_envs=2, device="cpu", seed=0), 5)
+    for setting in CHANGING:
+        with SETTINGS[setting]():
+            task = task_registry.make_task(name, num_envs=2, device="cpu:0", seed=0)
+            assert torch.equal(observed(task, 5), expected), setting
+        assert torch.equal(observed(task, 5), expected), setting
+
+
+def test_names_of_devices(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert resolve_device("cpu:0") == torch.device("cpu")
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 4)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert resolve_device("auto") == torch.device("cuda", 0)
+    monkeypatch.setattr(torch.cuda, "is_initialized", lambda: True)
+    monkeypatch.setattr(torch.cuda, "current_device", lambda: 2)
+    assert resolve_device("cuda:3") == torch.device("cuda", 3)
+    assert resolve_device("cuda") == torch.device("cuda", 2)
+    assert resolve_device("auto") == torch.device("cuda", 2)
+    with pytest.raises(ConfigError):
+        resolve_device("cuda:4")
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 0)
+    with pytest.raises(ConfigError):
+        resolve_device("cuda")
+
+
+def test_a_graph_is_recorded_on_its_own_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fakes in place of GPUs: the second one is current, and so is a stream of it, while a graph records."""
+    current: list[object] = [torch.device("cuda", 0)]
+
+    @contextmanager
+    def device(place: torch.device) -> Iterator[None]:
+        current.append(place)
+        yield
+        current.pop()
+
+    @contextmanager
+    def graph(_: object, *, stream: SimpleNamespace, capture_error_mode: str) -> Iterator[None]:
+        seen.append((current[-1], stream.device, capture_error_mode))
+        yield
+
+    seen: list[object] = []
+    monkeypatch.setattr(torch.cuda, "device", device)
+    monkeypatch.setattr(torch.cuda, "graph", graph)
+    monkeypatch.setattr(torch.cuda, "Stream", lambda place: SimpleNamespace(device=place))
+    second = torch.device("cuda", 1)
+    with recorded(SimpleNamespace(), second, errors="thread_local"):  # type: ignore[arg-type]
+        assert current[-1] == second
+    assert seen == [(second, second, "thread_local")]
+    assert current == [torch.device("cuda", 0)]
