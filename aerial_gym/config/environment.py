@@ -163,7 +163,7 @@ class EnvironmentCfg:
 
     contact: ContactCfg | None = None
     """How ground and obstacles push the robot back, and which touch is then a crash; without it, nothing pushes and every
-    touch is a crash."""
+    touch is a crash. Contact that pushes is found at the poses after each substep alone."""
 
     lamps: tuple[LampCfg, ...] = ()
     """Lights at a point, in colour images beside the sun and the sky of the sensor; none cost nothing, each of them a ray per

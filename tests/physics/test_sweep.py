@@ -44,6 +44,12 @@ PARTS = {
     "plane": ShapeCfg(kind="plane"),
 }
 MESHES = ("slab", "torus", "sheet")
+DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
+
+
+@pytest.fixture(params=DEVICES)
+def device(request: pytest.FixtureRequest) -> torch.device:
+    return torch.device(request.param)
 
 
 @dataclass(frozen=True)
@@ -209,6 +215,7 @@ def reported(
     other: Motion,
     *,
     moves: bool,
+    device: torch.device = torch.device("cpu"),  # noqa: B008
     motion: MotionCfg = MotionCfg(kind="twist"),  # noqa: B008 (frozen)
     end: float = 100.0,
     path: tuple[float, float] = (0.0, 0.0),
@@ -221,6 +228,7 @@ def reported(
         robot: Motion of the robot.
         other: Of the part: its start and the twist of its first substep.
         moves: Whether the part moves.
+        device: Where it is tested.
         motion: How it does.
         end: Half the size of the bounds [m].
         path: Ends of its way along x [m], if it moves between waypoints.
@@ -233,28 +241,26 @@ def reported(
             motion=motion if moves else MotionCfg(),
         ),),
     )  # fmt: skip
-    gtd = GlobalTensorDictionary(device=torch.device("cpu"), sizes={"E": n, "A": 1})
-    random = Randomness(n, seed=1)
-    ends = torch.full((n, 3), end)
-    made = AssetManager(
-        cfg, gtd, num_envs=n, device=torch.device("cpu"), random=random, bounds_min=-ends, bounds_max=ends
-    )
-    random.begin(torch.ones(n, dtype=torch.bool))
+    gtd = GlobalTensorDictionary(device=device, sizes={"E": n, "A": 1})
+    random = Randomness(n, seed=1, device=device)
+    ends = torch.full((n, 3), end, device=device)
+    made = AssetManager(cfg, gtd, num_envs=n, device=device, random=random, bounds_min=-ends, bounds_max=ends)
+    random.begin(torch.ones(n, dtype=torch.bool, device=device))
     made.reset(random.mask)
     if motion.kind == "waypoints":
         made._waypoints[..., 0] = torch.tensor(path)
     state = np.concatenate((other.start, other.attitude.as_quat(), other.shifts[0] / DT, other.turns[0] / DT), axis=1)
     gtd["env_asset_state_tensor"][:, 0] = torch.as_tensor(state)
     poses = [robot.at(0, 0.0), *(robot.at(j, 1.0) for j in range(k))]
-    position = torch.as_tensor(np.asarray([x for x, _ in poses])).float()
-    attitude = torch.as_tensor(np.asarray([q.as_quat() for _, q in poses])).float()
-    distance, crashes = torch.full((n,), torch.nan), torch.zeros(n, dtype=torch.bool)
+    position = torch.as_tensor(np.asarray([x for x, _ in poses])).float().to(device)
+    attitude = torch.as_tensor(np.asarray([q.as_quat() for _, q in poses])).float().to(device)
+    distance, crashes = torch.full((n,), torch.nan, device=device), torch.zeros(n, dtype=torch.bool, device=device)
     test = CollisionTest(
         made.scene, (hull,), position=position[-1], attitude=attitude[-1], distance_out=distance, moving=made.moving
     )
     test.follow(position, attitude, dt=DT, crashes_out=crashes)
     test.step()
-    return crashes.numpy()
+    return crashes.cpu().numpy()
 
 
 def shape_of(name: str, folder: Path) -> tuple[ShapeCfg, ShapeCfg | trimesh.Trimesh]:
@@ -270,22 +276,24 @@ def shape_of(name: str, folder: Path) -> tuple[ShapeCfg, ShapeCfg | trimesh.Trim
 @pytest.mark.parametrize("name", [*PARTS, *MESHES])
 @pytest.mark.parametrize("hull", HULLS)
 @pytest.mark.parametrize("flights", [500, pytest.param(100_000, marks=pytest.mark.slow)])
-def test_no_crossing_is_missed(hull: str, name: str, moves: bool, flights: int, tmp_path: Path) -> None:
+def test_no_crossing_is_missed(
+    hull: str, name: str, moves: bool, flights: int, device: torch.device, tmp_path: Path
+) -> None:
     shape, part = shape_of(name, tmp_path)
     flights = (
         flights // 5 if name in ("slab", "torus") and flights < 1000 else flights
     )  # of many faces, 0.1 to 0.5 ms each
     robot, other = crossings(HULLS[hull], part, flights, moves=moves)
-    assert np.flatnonzero(~reported(HULLS[hull], shape, robot, other, moves=moves)).tolist() == []
+    assert np.flatnonzero(~reported(HULLS[hull], shape, robot, other, moves=moves, device=device)).tolist() == []
 
 
 @pytest.mark.parametrize("moves", [False, True], ids=["still", "moving"])
 @pytest.mark.parametrize("name", [*PARTS, *MESHES])
 @pytest.mark.parametrize("hull", HULLS)
-def test_a_clear_pass_is_not_reported(hull: str, name: str, moves: bool, tmp_path: Path) -> None:
+def test_a_clear_pass_is_not_reported(hull: str, name: str, moves: bool, device: torch.device, tmp_path: Path) -> None:
     shape, part = shape_of(name, tmp_path)
     robot, other = clear_passes(HULLS[hull], part, 100, moves=moves, clearance=CLEAR)
-    assert np.flatnonzero(reported(HULLS[hull], shape, robot, other, moves=moves)).tolist() == []
+    assert np.flatnonzero(reported(HULLS[hull], shape, robot, other, moves=moves, device=device)).tolist() == []
 
 
 BALL = PARTS["sphere"]  # of 0.05 m; the hull has 0.04 m
