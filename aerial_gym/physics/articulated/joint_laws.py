@@ -129,8 +129,11 @@ class Drive:
         return self.stiffness * (self.position - position) + self.damping * (self.rate - rate) + self.effort
 
     def beyond(self, position: Tensor, rate: Tensor) -> Tensor:
-        """Return 1 or -1 where more is asked for than the drive can, to which side; else 0."""
-        wanted = self.wanted(position, rate)
+        """Return 1 or -1 where more is asked for than the drive can give, by its sign; else 0."""
+        return self.side(self.wanted(position, rate))
+
+    def side(self, wanted: Tensor) -> Tensor:
+        """Return 1 or -1 where an effort is beyond the limit, by its sign; else 0."""
         return torch.where(wanted.abs() > self.limit, torch.sign(wanted), 0.0)
 
     def effort_at(self, position: Tensor, rate: Tensor, at_limit: Tensor) -> Effort:

@@ -1,12 +1,10 @@
 """Steps in time of a tree of links.
 
 ``implicit_euler``: the efforts of joints are those at the end of the step, linearised; all else is semi-implicit Euler. It is
-of order 1 and stable however stiff a joint is. A drive that would be beyond its limit at the end of the step is at its limit
-through it, as is dry friction: whether it would is found by a step without limits. (Judged at the start, a drive that moves a
-light link to its place within a step would overshoot in each.) With drives or friction, what turning and swinging take is that
-of the rates half way to the end of a step under the efforts so found: taken at the rates at the start it feeds what whirls, and
-half way to the end of the step without limits, in which drives do as they like, it does so too; snakes under random commands
-ended in NaN. ``rk4``: order 4, for motion that no stiff joint is in.
+of order 1 and stable however stiff a joint is. Drives and dry friction keep within their limits at the end of the step
+(``bounded_efforts``); a drive that was judged at the start would overshoot with a light link in each step. With drives or
+friction, what turning and swinging take is that of the rates half way to the end of a step: taken at the rates at the start it
+feeds what whirls. ``rk4``: order 4, for motion that no stiff joint is in.
 Letters: E environments, D joints, L links.
 
 Sources:
@@ -17,11 +15,13 @@ Sources:
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 
 import torch
 from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_exp, quat_multiply, quat_normalize
+from aerial_gym.physics.articulated.bounded_efforts import ROUNDS, BoundedProblem
 from aerial_gym.physics.articulated.dynamics import Equations, equations, solve
 from aerial_gym.physics.articulated.joint_laws import Drive, Effort, JointLaw, joint_effort
 from aerial_gym.physics.articulated.link_damping import LinkDamping, damped
@@ -64,13 +64,18 @@ def implicit_euler(
         fluid: That they set in motion; None where there is none.
     """
 
+    traces = torch.is_grad_enabled()
+
+    @cache  # by identity: the equations of each motion serve all rounds of a solution
+    def equations_at(swings: TreeState) -> Equations:
+        with torch.set_grad_enabled(traces):  # the first of these rounds is without gradients
+            found = equations(tree, links, swings, gravity=gravity, wrench=wrench, effort=effort)
+            if fluid is not None:
+                found = entrained(tree, found, state.attitude, fluid)
+            return found if damping is None else damped(tree, found, damping, dt)
+
     def step(acts: Effort, swings: TreeState) -> TreeState:
-        found = equations(tree, links, swings, gravity=gravity, wrench=wrench, effort=effort)
-        if fluid is not None:
-            found = entrained(tree, found, state.attitude, fluid)
-        if damping is not None:
-            found = damped(tree, found, damping, dt)
-        return _implicit(tree, state, found, acts, dt)
+        return _implicit(tree, state, equations_at(swings), acts, dt)
 
     return with_drive(step, laws, drive, friction, state)
 
@@ -81,11 +86,12 @@ def with_drive(
     drive: Drive | None,
     friction: Drive | None,
     state: TreeState,
+    *,
+    rounds: int = ROUNDS,
 ) -> TreeState:
-    """Return the state after a step under laws and a drive, which gives way where a first step would take it to its limit.
+    """Return the state after a step under laws, a drive and dry friction, each within its limit at the end of the step.
 
-    Then it is found likewise which joints dry friction does not hold; in the first step it acts on those that move already.
-    A step under what was found says what the rates half way are, at which the last one takes what turning and swinging take.
+    The first solution, from the rates at the start, gives the rates half way. The second one, at those, is the step.
 
     Args:
         step: A step from ``state`` under efforts of joints, taken at its end, and what turning and swinging take in a motion.
@@ -93,25 +99,21 @@ def with_drive(
         drive: Of the joints that have one; None for no drive.
         friction: Likewise.
         state: Motion at the start.
+        rounds: Of the solution, at most.
     """
-    pos, vel = state.joint_pos, state.joint_vel
-    acts, nowhere = joint_effort(laws, pos, vel), torch.zeros_like(pos)
-    if drive is None and friction is None:
+    acts = joint_effort(laws, state.joint_pos, state.joint_vel)
+    bounded = [(law, law is friction) for law in (drive, friction) if law is not None]
+    if not bounded:
         return step(acts, state)
-    if drive is not None:
-        with torch.no_grad():  # which side a drive is at its limit has no slope
-            trial = acts + drive.effort_at(pos, vel, nowhere)
-            if friction is not None:
-                trial = trial + friction.effort_at(pos, vel, friction.beyond(pos, vel))
-            end = step(trial, state)
-            at_limit = drive.beyond(end.joint_pos, end.joint_vel)
-        acts = acts + drive.effort_at(pos, vel, at_limit)
-    if friction is not None:
-        with torch.no_grad():
-            end = step(acts + friction.effort_at(pos, vel, nowhere), state)
-            slips = friction.beyond(end.joint_pos, end.joint_vel)
-        acts = acts + friction.effort_at(pos, vel, slips)
-    return step(acts, half_way(state, step(acts, state)))
+    own, rubs = zip(*bounded, strict=True)
+    problem = BoundedProblem(laws=own, friction=rubs, acts=acts, state=state, rounds=rounds)
+
+    def end_of(swings: TreeState, guess: TreeState) -> TreeState:
+        found = problem.solve(lambda effort: step(effort, swings), guess)
+        return step(problem.total(found), swings)
+
+    first = end_of(state, state)
+    return end_of(half_way(state, first), first)
 
 
 def half_way(state: TreeState, end: TreeState) -> TreeState:

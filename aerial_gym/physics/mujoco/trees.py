@@ -158,7 +158,8 @@ class Trees(ABC):
         if damping is not None:
             self._check_held(links, damping)
             wrench = wrench + damping.held(links)
-        return with_drive(partial(self._step, links, state, gravity, wrench), laws, drive, friction, state)
+        step = partial(self._step, links, state, gravity, wrench)
+        return with_drive(step, laws, drive, friction, state)
 
     def _start_of(self, state: TreeState, swings: TreeState) -> tuple[Tensor, Tensor]:
         """Return where a step begins in MuJoCo, (E, nq + nv), and M mocap bodies: places, then attitudes wxyz, (E, 7 M)."""

@@ -122,7 +122,7 @@ def make_solve_kernel(
     """
     joints = joint_types(articulation.num_joints, None, types.vector)
     rotor_vector, vector, vehicle_type, held_type = types.vector, joints.vector, types.vehicle, joints.held
-    drive_type, floating = vector_of(max(articulation.num_driven, 1)), articulation.tree.floating
+    floating = articulation.tree.floating
     way_in, way_back = make(articulation, types, joints, {}, {})
     base = make_base(articulation, vehicle_type)
 
@@ -131,7 +131,7 @@ def make_solve_kernel(
         vehicle: vehicle_type, weight: wp.vec3, pos: vector, vel: vector, thrusts: rotor_vector, drags: rotor_vector,
         w: wp.vec3, v: wp.vec3, dt: float,
     ):  # fmt: skip
-        carried, kept = way_in(vehicle, pos, vel, vel, drive_type(), held_type(), thrusts, drags, w, w, v, dt)
+        carried, kept = way_in(vehicle, pos, vel, vel, held_type(), thrusts, drags, w, w, v, dt)
         turn = wp.vec3()
         rise = weight
         if wp.static(floating):

@@ -42,12 +42,12 @@ def make_factor(
     if air or hubs:
         raise CapabilityError("benchmarks: the factor of the mass matrix knows no effects on links or at hubs")
     factor, vector, vehicle_type = factor_types(articulation), joints.vector, types.vehicle
-    command_type, held_type = vector_of(max(articulation.num_driven, 1)), joints.held
+    held_type = joints.held
     path_type = vector_of(max(depths_of(articulation)) + 1)
     masses = _carried_masses(articulation)
     into: dict[int, wp.Function] = {}
     out: dict[int, wp.Function] = {}
-    nothing_in, nothing_back = _make_nothing(types, joints, command_type, factor, path_type)
+    nothing_in, nothing_back = _make_nothing(types, joints, factor, path_type)
 
     def carried_by(link: int) -> tuple[wp.Function, wp.Function]:
         joints_on = articulation.tree.children(link)
@@ -65,12 +65,12 @@ def make_factor(
 
     @wp.func
     def all_in(
-        vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, command: command_type, held: held_type,
+        vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, held: held_type,
         thrusts: types.vector, drags: types.vector, ang_vel_0: wp.vec3, ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float,
     ):  # fmt: skip
         rotation = wp.identity(n=3, dtype=float)
         whole, kept = way_in(
-            vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, ang_vel, lin_vel, wp.vec3(), wp.vec3(),
+            vehicle, pos, vel, swing_vel, held, thrusts, drags, rotation, ang_vel, lin_vel, wp.vec3(), wp.vec3(),
             dt, factor(),
         )  # fmt: skip
         carried = Inertia()
@@ -99,14 +99,14 @@ def _carried_masses(articulation: Articulation) -> list[float]:
 
 
 def _make_nothing(
-    types: RotorTypes, joints: JointTypes, command_type: Any, factor: Any, path_type: Any
+    types: RotorTypes, joints: JointTypes, factor: Any, path_type: Any
 ) -> tuple[wp.Function, wp.Function]:
     """Return the functions of a link that carries nothing."""
     vector, vehicle_type, held_type = joints.vector, types.vehicle, joints.held
 
     @wp.func
     def nothing_in(
-        vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, command: command_type, held: held_type,
+        vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, held: held_type,
         thrusts: types.vector, drags: types.vector, rotation: wp.mat33, ang_vel: wp.vec3, lin_vel: wp.vec3,
         bend: wp.vec3, swing: wp.vec3, dt: float, kept: factor,
     ):  # fmt: skip
@@ -122,7 +122,7 @@ def _make_nothing(
 def _beside_in(rest: wp.Function, one: wp.Function) -> wp.Function:
     @wp.func
     def both_in(
-        vehicle: Any, pos: Any, vel: Any, swing_vel: Any, command: Any, held: Any, thrusts: Any, drags: Any,
+        vehicle: Any, pos: Any, vel: Any, swing_vel: Any, held: Any, thrusts: Any, drags: Any,
         rotation: wp.mat33, ang_vel: wp.vec3, lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3, dt: float, kept: Any,
     ):  # fmt: skip
         first, kept_first = rest(
@@ -130,7 +130,6 @@ def _beside_in(rest: wp.Function, one: wp.Function) -> wp.Function:
             pos,
             vel,
             swing_vel,
-            command,
             held,
             thrusts,
             drags,
@@ -143,7 +142,7 @@ def _beside_in(rest: wp.Function, one: wp.Function) -> wp.Function:
             kept,
         )
         second, kept_both = one(
-            vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, ang_vel, lin_vel, bend, swing, dt,
+            vehicle, pos, vel, swing_vel, held, thrusts, drags, rotation, ang_vel, lin_vel, bend, swing, dt,
             kept_first,
         )  # fmt: skip
         return together(first, second), kept_both
@@ -185,7 +184,7 @@ def _make_link(
 ) -> wp.Function:  # fmt: skip
     """Return the way in through joint k and what its link carries."""
     vector, vehicle_type = joints.vector, types.vehicle
-    command_type, held_type = vector_of(max(articulation.num_driven, 1)), joints.held
+    held_type = joints.held
     joint, reference = articulation.tree.joints[k], float(articulation.reference[k])
     revolute, own_axis, offset = joint.kind == "revolute", wp.vec3(*joint.axis), wp.vec3(*joint.position)
     if not revolute:
@@ -199,7 +198,7 @@ def _make_link(
 
     @wp.func
     def link_in(
-        vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, command: command_type, held: held_type,
+        vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, held: held_type,
         thrusts: types.vector, drags: types.vector, rotation: wp.mat33, ang_vel: wp.vec3, lin_vel: wp.vec3,
         bend: wp.vec3, swing: wp.vec3, dt: float, kept: factor,
     ):  # fmt: skip
@@ -224,7 +223,7 @@ def _make_link(
             move = move + rate * axis
             swung = swung + rate * wp.cross(ang_vel, axis)
         whole, after = carried(
-            vehicle, pos, vel, swing_vel, command, held, thrusts, drags, turned, turn, move, bent, swung, dt, kept
+            vehicle, pos, vel, swing_vel, held, thrusts, drags, turned, turn, move, bent, swung, dt, kept
         )
         if wp.static(has_mass):
             own = Composite()  # about its centre of mass
@@ -244,7 +243,7 @@ def _make_link(
             acting = rotors(vehicle, held, thrusts, drags, turned, none, none, none, Inertia())
             whole.force += acting.force
             whole.torque += acting.torque
-        acts, stiff = effort(q, vel[k], command, held, dt)
+        acts, stiff = effort(q, vel[k], held, dt)
         if wp.static(revolute):
             by_turn = turned_by(whole, axis)
             by_push = wp.cross(axis, whole.moment)

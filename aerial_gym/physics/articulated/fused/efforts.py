@@ -6,16 +6,17 @@ from typing import Any
 import warp as wp
 
 from aerial_gym.physics.articulated.articulation import Articulation
-from aerial_gym.physics.articulated.joint_laws import STICK_RATE
 from aerial_gym.physics.fused.types import vector_of
 
 
 @cache
 def held_of(num_joints: int, params_type: Any, rotor_vector: Any) -> Any:
-    """Return the ``wp.struct`` of what is held through a step: sides on which drives are at their limits, those to which dry
-    friction pushes joints that move, and what springs behind dashpots would give at zero, ``sum k_i z_i`` [N m]. Where the air
-    acts on links also parameters of effects, wind [m/s] and the acceleration that weight takes [m/s²], axes of the base, place
-    and attitude of the base, states of the rotors and their accelerations.
+    """Return the ``wp.struct`` of what is held through a step.
+
+    It has the tangent of drives and dry friction, ``bounded_value - bounded_slope v`` at the rate v at the end, and the effort
+    of springs behind dashpots at zero, ``sum k_i z_i`` [N m]. Where the air acts on links it has also parameters of effects,
+    wind [m/s] and the acceleration that weight takes [m/s²], axes of the base, place and attitude of the base, states of the
+    rotors and their accelerations.
 
     Args:
         num_joints: D.
@@ -23,7 +24,7 @@ def held_of(num_joints: int, params_type: Any, rotor_vector: Any) -> Any:
         rotor_vector: A number of each rotor.
     """
     vector = vector_of(num_joints)
-    fields = {"at_limit": vector, "slips": vector, "crept": vector}
+    fields = {"bounded_value": vector, "bounded_slope": vector, "crept": vector}
     if params_type is not None:
         fields |= {"params": params_type, "wind": wp.vec3, "weight": wp.vec3, "position": wp.vec3, "attitude": wp.quat}
         fields |= {"rotor_speed": rotor_vector, "rotor_acc": rotor_vector}
@@ -60,23 +61,18 @@ def make_creep(articulation: Articulation) -> tuple[wp.Function, wp.Function]:
 
 
 def make_effort(articulation: Articulation, k: int, held_type: Any) -> wp.Function:
-    """Return a function (position, rate, commands of all drives, what is held through the step, dt) -> effort less what a step
-    at this rate takes off it, and what is added to the joint's inertia: ``f - K q' dt`` and ``C dt + K dt²``."""
+    """Return a function (position, rate, what is held through the step, dt) -> effort at the end of a step at this rate,
+    ``f - K q' dt``, and what is added to the joint's inertia, ``C dt + K dt²``."""
     spring = {name: float(rows[0, k]) for name, rows in vars(articulation.spring).items()}
     ends = {name: float(rows[0, k]) for name, rows in vars(articulation.ends).items()}
     k1, k2, damping, rest, preload = (spring[name] for name in ("stiffness", "quadratic", "damping", "rest", "preload"))
     low, high, end_stiffness, end_damping = (ends[name] for name in ("low", "high", "stiffness", "damping"))
-    passive, ended, friction = any(spring.values()), end_stiffness > 0.0, float(articulation.friction[0, k])
-    driven = k in articulation.driven
-    drive_stiffness, drive_damping, limit = 0.0, 0.0, 0.0
-    if driven:
-        drive_stiffness, drive_damping, limit = articulation.drive_gains[articulation.driven.index(k)].tolist()
-    wanted = _make_wanted(articulation, k)
-    command_type = vector_of(max(articulation.num_driven, 1))
+    passive, ended = any(spring.values()), end_stiffness > 0.0
+    bounded = k in articulation.driven or float(articulation.friction[0, k]) > 0.0
     creeping = float(articulation.creep_stiffness[:, k].sum())
 
     @wp.func
-    def effort(q: float, rate: float, command: command_type, held: held_type, dt: float):
+    def effort(q: float, rate: float, held: held_type, dt: float):
         value = 0.0
         stiffness = 0.0
         damps = 0.0
@@ -86,13 +82,6 @@ def make_effort(articulation: Articulation, k: int, held_type: Any) -> wp.Functi
             value += wp.static(preload) - (wp.static(k1) + wp.static(k2) * bent) * away - wp.static(damping) * rate
             stiffness += wp.static(k1) + wp.static(2.0 * k2) * bent
             damps += wp.static(damping)
-        if wp.static(friction > 0.0):
-            slips = held.slips[k]
-            if slips == 0.0:
-                value -= wp.static(friction / STICK_RATE) * rate
-                damps += wp.static(friction / STICK_RATE)
-            else:
-                value += slips * wp.static(friction)
         if wp.static(ended):
             past = wp.max(q - wp.static(high), 0.0) - wp.max(wp.static(low) - q, 0.0)
             back = wp.static(end_stiffness) * wp.abs(past) + wp.static(end_damping) * rate * wp.sign(past)
@@ -103,83 +92,10 @@ def make_effort(articulation: Articulation, k: int, held_type: Any) -> wp.Functi
         if wp.static(creeping > 0.0):
             value += held.crept[k] - wp.static(creeping) * q
             stiffness += wp.static(creeping)
-        if wp.static(driven):
-            at_limit = held.at_limit[k]
-            if at_limit == 0.0:
-                value += wanted(q, rate, command)
-                stiffness += wp.static(drive_stiffness)
-                damps += wp.static(drive_damping)
-            else:
-                value += at_limit * wp.static(limit)
+        if wp.static(bounded):
+            value += held.bounded_value[k] - held.bounded_slope[k] * rate
+            damps += held.bounded_slope[k]
         soft = stiffness * dt
         return value - soft * rate, dt * (damps + soft)
 
     return effort
-
-
-def _make_wanted(articulation: Articulation, k: int) -> wp.Function:
-    """Return a function (position, rate, commands of all drives) -> effort that is asked of the drive of a joint."""
-    command_type = vector_of(max(articulation.num_driven, 1))
-
-    @wp.func
-    def nothing(q: float, rate: float, command: command_type) -> float:
-        return 0.0
-
-    if k not in articulation.driven:
-        return nothing
-    place = articulation.driven.index(k)
-    mode, (stiffness, damping, _) = articulation.modes[place], articulation.drive_gains[place].tolist()
-    low, high = float(articulation.command_low[place]), float(articulation.command_high[place])
-
-    @wp.func
-    def wanted(q: float, rate: float, command: command_type) -> float:
-        asked = wp.clamp(command[wp.static(place)], wp.static(low), wp.static(high))
-        if wp.static(mode == "position"):
-            return wp.static(stiffness) * (asked - q) - wp.static(damping) * rate
-        if wp.static(mode == "velocity"):
-            return wp.static(damping) * (asked - rate)
-        return asked
-
-    return wanted
-
-
-@cache
-def make_slips(num_joints: int) -> wp.Function:
-    """Return ``Drive.beyond`` of the dry friction of all joints, (rates) -> sides."""
-    joints = vector_of(num_joints)
-
-    @wp.func
-    def slips(vel: joints) -> joints:
-        sides = joints()
-        for k in range(wp.static(num_joints)):
-            if wp.abs(vel[k]) > wp.static(STICK_RATE):
-                sides[k] = -wp.sign(vel[k])
-        return sides
-
-    return slips
-
-
-def make_beyond(articulation: Articulation) -> wp.Function:
-    """Return ``Drive.beyond`` of all joints, (positions, rates, commands) -> sides."""
-    joints = vector_of(articulation.num_joints)
-    command_type = vector_of(max(articulation.num_driven, 1))
-
-    @wp.func
-    def nowhere(pos: joints, vel: joints, command: command_type) -> joints:
-        return joints()
-
-    def with_drive(rest: wp.Function, k: int, wanted: wp.Function, limit: float) -> wp.Function:
-        @wp.func
-        def beyond(pos: joints, vel: joints, command: command_type) -> joints:
-            sides = rest(pos, vel, command)
-            asked = wanted(pos[k], vel[k], command)
-            if wp.abs(asked) > wp.static(limit):
-                sides[k] = wp.sign(asked)
-            return sides
-
-        return beyond
-
-    total = nowhere
-    for place, k in enumerate(articulation.driven):
-        total = with_drive(total, k, _make_wanted(articulation, k), float(articulation.drive_gains[place, 2]))
-    return total

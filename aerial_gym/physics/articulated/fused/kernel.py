@@ -11,7 +11,9 @@ from typing import Any
 import warp as wp
 
 from aerial_gym.physics.articulated.articulation import Articulation
-from aerial_gym.physics.articulated.fused.efforts import make_beyond, make_creep, make_slips
+from aerial_gym.physics.articulated.bounded_efforts import ROUNDS
+from aerial_gym.physics.articulated.fused.bounded import make_bounded
+from aerial_gym.physics.articulated.fused.efforts import make_creep
 from aerial_gym.physics.articulated.fused.hubs import blown_links, make_hubs
 from aerial_gym.physics.articulated.fused.inertia import Inertia, com_of, inertia_of, plus
 from aerial_gym.physics.articulated.fused.on_links import make_on_links, touched_links
@@ -117,8 +119,9 @@ def make_jointed_kernel(
     way_in, way_back = make_recursion(articulation, types, joints, air, hubs)
     base_in_air, wind = air.get(0), make_wind(model) if in_air else None
     base, floating = make_base(articulation, vehicle_type), articulation.tree.floating
-    beyond, driven = make_beyond(articulation), bool(articulation.driven)
-    slips, rubs, ahead = make_slips(articulation.num_joints), articulation.rubs, articulation.looks_ahead
+    bounded, rubs, ahead = make_bounded(articulation), articulation.rubs, articulation.looks_ahead
+    ask, sides, tangent, fits = bounded.ask, bounded.sides, bounded.tangent, bounded.fits
+    line_search, driven, rubbing, pushes = bounded.line_search, bounded.driven, bounded.rubbing, bounded.pushes
     (pull, creep_on), num_creep = make_creep(articulation), articulation.num_creep
     num_joints, held_type = articulation.num_joints, joints.held
     dashpot_type = vector_of(max(num_creep * num_joints, 1))
@@ -139,12 +142,12 @@ def make_jointed_kernel(
     @wp.func
     def find(
         vehicle: vehicle_type, more: wp.spatial_vector, held: wp.vec3, pos: joint_vector, vel: joint_vector,
-        swing_vel: joint_vector, drives: drive_type, given: held_type, thrusts: vector, drags: vector, w_0: wp.vec3,
-        w: wp.vec3, move: wp.vec3, dt: float,
+        swing_vel: joint_vector, given: held_type, thrusts: vector, drags: vector, w_0: wp.vec3, w: wp.vec3,
+        move: wp.vec3, dt: float,
     ):  # fmt: skip
         """Return rates of joints at the end of the step, angular acceleration and acceleration of the base, which weight is not
         taken off, with what turning at ``w`` and swinging at ``swing_vel`` take."""
-        carried, kept = way_in(vehicle, pos, vel, swing_vel, drives, given, thrusts, drags, w_0, w, move, dt)
+        carried, kept = way_in(vehicle, pos, vel, swing_vel, given, thrusts, drags, w_0, w, move, dt)
         turn = wp.vec3()
         rise = held
         if wp.static(floating):
@@ -159,6 +162,59 @@ def make_jointed_kernel(
                 )
             turn, rise = solve(plus(carried, own))
         return vel + dt * way_back(kept, turn, rise), turn, rise
+
+    @wp.func
+    def bounded_step(
+        vehicle: vehicle_type, more: wp.spatial_vector, held: wp.vec3, pos: joint_vector, vel: joint_vector,
+        asked: joint_vector, given: held_type, thrusts: vector, drags: vector, w: wp.vec3, move: wp.vec3, dt: float,
+    ):  # fmt: skip
+        """Return what ``find`` does under drives and dry friction within their limits, and the rate at which turning is taken.
+
+        It is ``steppers.with_drive``; one loop for all solutions has the code of ``find`` once.
+        """
+        acts = given
+        rates = vel
+        turn = wp.vec3()
+        rise = held
+        half_w = w
+        half_vel = vel
+        at = vel  # rates whose limited laws are tried
+        efforts = joint_vector()  # that lead to them
+        stage = wp.int32(0)  # 0: turning of the start; 1: of half way; 2: efforts held; 3: without friction
+        rounds = wp.int32(0)
+        while stage < 4:
+            of_drives, of_friction = sides(asked, at, dt)
+            value, slope = tangent(asked, of_drives, of_friction, dt)
+            if stage > 1:
+                value = efforts
+                slope = joint_vector()
+            acts.bounded_value = value
+            acts.bounded_slope = slope
+            rates, turn, rise = find(vehicle, more, held, pos, vel, half_vel, acts, thrusts, drags, w, half_w, move, dt)
+            if stage > 1:
+                stage += 2
+                if wp.static(rubs) and stage == 4 and pushes(rubbing(at), rates):
+                    efforts = driven(asked, at, dt)
+                    stage = 3
+            elif fits(asked, of_drives, of_friction, rates, dt) or (stage == 0 and rounds == wp.static(ROUNDS)):
+                if stage == 0:
+                    half_w = w + 0.5 * dt * turn
+                    half_vel = 0.5 * (vel + rates)
+                stage = wp.where(stage == 0, 1, 4)
+                rounds = 0
+                at = rates
+            elif rounds == wp.static(ROUNDS):
+                efforts = driven(asked, at, dt) + rubbing(at)
+                stage = 2
+            else:
+                end = value - wp.cw_mul(slope, rates)
+                share = wp.float32(1.0)
+                if rounds > 0:
+                    share = line_search(asked, at, efforts, rates, end, dt)
+                efforts += share * (end - efforts)
+                at += share * (rates - at)
+                rounds += 1
+        return rates, turn, rise, half_w
 
     @wp.func
     def step_once(
@@ -182,27 +238,13 @@ def make_jointed_kernel(
             given.rotor_acc = (n - before) / dt
         if wp.static(num_creep > 0):
             given.crept = pull(crept)
-        if wp.static(driven):
-            if wp.static(rubs):
-                given.slips = slips(vel)
-            first, turn, rise = find(vehicle, more, held, pos, vel, vel, drives, given, thrusts, drags, w, w, move, dt)
-            given.at_limit = beyond(pos + dt * first, first, drives)
-        if wp.static(rubs):
-            given.slips = joint_vector()
-            first, turn, rise = find(vehicle, more, held, pos, vel, vel, drives, given, thrusts, drags, w, w, move, dt)
-            given.slips = slips(first)
-        half_w = w
-        half_vel = vel
         if wp.static(ahead):
-            if wp.length_sq(given.at_limit) + wp.length_sq(given.slips) > 0.0:  # else it is the step before
-                first, turn, rise = find(
-                    vehicle, more, held, pos, vel, vel, drives, given, thrusts, drags, w, w, move, dt
-                )
-            half_w = w + 0.5 * dt * turn
-            half_vel = 0.5 * (vel + first)
-        rates, turn, rise = find(
-            vehicle, more, held, pos, vel, half_vel, drives, given, thrusts, drags, w, half_w, move, dt
-        )
+            rates, turn, rise, half_w = bounded_step(
+                vehicle, more, held, pos, vel, ask(pos, drives), given, thrusts, drags, w, move, dt
+            )
+        else:
+            half_w = w
+            rates, turn, rise = find(vehicle, more, held, pos, vel, vel, given, thrusts, drags, w, w, move, dt)
         lin_vel = v
         ang_vel = w
         if wp.static(floating):

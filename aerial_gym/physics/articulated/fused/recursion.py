@@ -63,7 +63,7 @@ def make_recursion(
 ) -> tuple[wp.Function, wp.Function]:
     """Return the ways in and back.
 
-    The way in: (vehicle, position of joints, their rate, that at which swinging is taken, joint command, what is held
+    The way in: (vehicle, position of joints, their rate, that at which swinging is taken, what is held
     through the step, thrusts, drag torques, angular velocity of the base at the start of the step and that at which turning is
     taken, its velocity, dt) -> ``Inertia`` of all that the base carries, with what its own rotors do, and what is kept.
     ``air`` is what effects do to links, as ``on_links.make_on_links`` gives it; ``hubs`` what they do at hubs, as
@@ -71,9 +71,9 @@ def make_recursion(
     The way back: (kept, angular acceleration and acceleration of the base, weight not taken off it) -> accelerations of joints.
     """
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
-    command_type, held_type = vector_of(max(articulation.num_driven, 1)), joints.held
+    held_type = joints.held
     links = [_make_link(articulation, k, types, joints, air, hubs) for k in range(articulation.num_joints)]
-    inward, back = _make_nothing(types, joints, command_type)
+    inward, back = _make_nothing(types, joints)
     into: dict[int, wp.Function] = {}
     out: dict[int, wp.Function] = {}
     for k in reversed(range(articulation.num_joints)):  # links that are carried come later
@@ -86,13 +86,13 @@ def make_recursion(
 
     @wp.func
     def all_in(
-        vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, command: command_type, held: held_type,
+        vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, held: held_type,
         thrusts: types.vector, drags: types.vector, ang_vel_0: wp.vec3, ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float,
     ):  # fmt: skip
         kept = back_type()
         rotation = wp.identity(n=3, dtype=float)
         carried, kept = way_in(
-            vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, wp.vec3(), ang_vel_0, lin_vel, ang_vel,
+            vehicle, pos, vel, swing_vel, held, thrusts, drags, rotation, wp.vec3(), ang_vel_0, lin_vel, ang_vel,
             lin_vel, wp.vec3(), wp.vec3(), dt, kept,
         )  # fmt: skip
         carried = base_rotors(vehicle, held, thrusts, drags, rotation, wp.vec3(), ang_vel_0, lin_vel, carried)
@@ -113,14 +113,14 @@ def _children(
     return reduce(_beside_in if way_in else _beside_back, carried) if carried else nothing
 
 
-def _make_nothing(types: RotorTypes, joints: JointTypes, command_type: Any) -> tuple[wp.Function, wp.Function]:
+def _make_nothing(types: RotorTypes, joints: JointTypes) -> tuple[wp.Function, wp.Function]:
     """Return the functions of a link that carries nothing."""
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
     held_type = joints.held
 
     @wp.func
     def nothing_in(
-        vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, command: command_type, held: held_type,
+        vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, held: held_type,
         thrusts: types.vector, drags: types.vector, rotation: wp.mat33, place: wp.vec3, ang_vel_0: wp.vec3,
         lin_vel_0: wp.vec3, ang_vel: wp.vec3, lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3, dt: float,
         kept: back_type,
@@ -137,16 +137,16 @@ def _make_nothing(types: RotorTypes, joints: JointTypes, command_type: Any) -> t
 def _beside_in(rest: wp.Function, one: wp.Function) -> wp.Function:
     @wp.func
     def both_in(
-        vehicle: Any, pos: Any, vel: Any, swing_vel: Any, command: Any, held: Any,
+        vehicle: Any, pos: Any, vel: Any, swing_vel: Any, held: Any,
         thrusts: Any, drags: Any, rotation: wp.mat33, place: wp.vec3, ang_vel_0: wp.vec3, lin_vel_0: wp.vec3,
         ang_vel: wp.vec3, lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3, dt: float, kept: Any,
     ):  # fmt: skip
         first, kept_first = rest(
-            vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, place, ang_vel_0, lin_vel_0, ang_vel,
+            vehicle, pos, vel, swing_vel, held, thrusts, drags, rotation, place, ang_vel_0, lin_vel_0, ang_vel,
             lin_vel, bend, swing, dt, kept,
         )  # fmt: skip
         second, kept_both = one(
-            vehicle, pos, vel, swing_vel, command, held, thrusts, drags, rotation, place, ang_vel_0, lin_vel_0, ang_vel,
+            vehicle, pos, vel, swing_vel, held, thrusts, drags, rotation, place, ang_vel_0, lin_vel_0, ang_vel,
             lin_vel, bend, swing, dt, kept_first,
         )  # fmt: skip
         return plus(first, second), kept_both
@@ -196,7 +196,7 @@ def _make_link(
 ) -> Any:
     """Return what makes the way in through joint k of that through what its link carries."""
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
-    command_type, held_type = vector_of(max(articulation.num_driven, 1)), joints.held
+    held_type = joints.held
     joint, reference = articulation.tree.joints[k], float(articulation.reference[k])
     revolute, own_axis, offset = joint.kind == "revolute", wp.vec3(*joint.axis), wp.vec3(*joint.position)
     if not revolute:
@@ -214,7 +214,7 @@ def _make_link(
     def around(carried: wp.Function) -> wp.Function:
         @wp.func
         def link_in(
-            vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, command: command_type, held: held_type,
+            vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, held: held_type,
             thrusts: types.vector, drags: types.vector, rotation: wp.mat33, place: wp.vec3, ang_vel_0: wp.vec3,
             lin_vel_0: wp.vec3, ang_vel: wp.vec3, lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3, dt: float,
         kept: back_type,
@@ -251,7 +251,7 @@ def _make_link(
                     move_0 = move_0 + vel[k] * axis
             origin = place + lever
             whole, after = carried(
-                vehicle, pos, vel, swing_vel, command, held, thrusts, drags, turned, origin, turn_0, move_0, turn, move,
+                vehicle, pos, vel, swing_vel, held, thrusts, drags, turned, origin, turn_0, move_0, turn, move,
                 bent, swung, dt, after,
             )  # fmt: skip
             if wp.static(has_mass):
@@ -266,7 +266,7 @@ def _make_link(
             whole = rotors(vehicle, held, thrusts, drags, turned, origin, turn_0, move_0, whole)
             if wp.static(damped):
                 whole = in_air(whole, turned, turned * com, turn_0, move_0, turn, move, bent, swung, held, dt)
-            acts, stiff = effort(q, vel[k], command, held, dt)
+            acts, stiff = effort(q, vel[k], held, dt)
             if wp.static(revolute):
                 by_turn = whole.turn * axis
                 by_push = wp.transpose(whole.mixed) * axis
