@@ -243,8 +243,8 @@ class ControllerCfg:
     once."""
 
     if_unstable: Literal["refuse", "warn"] = "refuse"
-    """What becomes of a vehicle that these gains do not hold at hover with a gain margin of 6 dB: it is refused, or flies with
-    a warning, to reproduce someone's result as it is."""
+    """Whether a vehicle that these gains do not hold at hover is refused, or flies with a warning, to reproduce someone's
+    result as it is."""
 
     def __post_init__(self) -> None:
         if self.rate_hz is not None:

@@ -1,17 +1,14 @@
-"""Whether a vehicle under a control law comes to rest: the closed loop as it is sampled, linearised at hover.
+"""Whether vehicles under a control law come to rest: the eigenvalues of the closed loop at hover, and the hover itself.
 
-One step of the torch reference, in float64, with the real allocation and rotor lag, is differentiated by central differences,
-all perturbations side by side as environments. With rates and memory it is a whole period, memory is perturbed too, and the
-derivative is the product of those of its steps, of which all of one phase are alike: hover is at rest in each. The
-vehicle comes to rest if the spectral radius over the axes that the law controls is below 1; what it leaves to itself (position
-and heading under attitude control, say) is left out, as none of the controlled axes depends on it at hover. That must hold with
-a gain margin: near the limit a loop is lost as soon as a rotor is at one of its own.
-Letters: N axes with rotors, R rotors.
+A vehicle comes to rest if the spectral radius of its loop is below 1 over the axes that the law controls; the loop is
+linearised at its rest (``control.linear_loop``). What the law leaves to itself (position and heading under attitude control,
+say) is left out: none of the controlled axes depends on it at hover. The vehicle has the effects of its robot file that act in
+free air. Random wind and forces are left out; failures count that begin with the episode. Joints stay in their reference pose.
+Letters: B vehicles under one law, R rotors, X numbers of the state vector.
 """
 
-import logging
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from math import exp, log
@@ -20,35 +17,30 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.controller import ControllerCfg
-from aerial_gym.config.randomize import Randomize, RandomizeCfg
+from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.cascade import CascadeController
 from aerial_gym.control.controllers import LeeController, make_controller
-from aerial_gym.control.gains import GAINS, apparent_gravity, ends_of, explicit_gains_of, has_explicit_gains
+from aerial_gym.control.gains import apparent_gravity, ends_of
+from aerial_gym.control.hover import HOVER_RANGE, Rest, distances, find_rest, flown_distance
 from aerial_gym.control.laws import LAWS
-from aerial_gym.control.remembering import RememberingController
+from aerial_gym.control.linear_loop import AXES, BODY, SampledLoop
 from aerial_gym.errors import ConfigError
-from aerial_gym.math.quaternion import quat_exp, quat_log
 from aerial_gym.physics.backend import ControlLaw
-from aerial_gym.physics.integrators import INTEGRATORS, Stepper, to_body_state, to_mass_state
-from aerial_gym.physics.law_memory import law_command
-from aerial_gym.physics.model import Model, build_model
-from aerial_gym.physics.rotors import state_for_thrust
-from aerial_gym.physics.state import BodyState
-from aerial_gym.physics.vehicle import Vehicle, share_row, vehicle_from_config
-
-AXES = ("x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "p", "q", "r")
-"""Motion about hover [m, rad, m/s, rad/s]."""
+from aerial_gym.physics.effects import DelayEffect, EffectParams, WindEffect, WrenchEffect
+from aerial_gym.physics.model import Model, build_model, check_effects, robot_effects
+from aerial_gym.physics.vehicle import Vehicle, vehicle_from_config
 
 TURNS, RATES = AXES[3:6], AXES[9:]
 
 LOOP_GAINS = (0.5, 2.0)
-"""Factors on what a law asks of the rotors beyond hover [-] with which the loop must come to rest too: a gain margin of 6 dB
+"""Factors on what a law asks of the rotors beyond hover [-] with which a firm loop comes to rest too: a gain margin of 6 dB
 either way. Source: MIL-F-9490D (1975), 3.1.3.6.1, table III, and SAE AS94900 after it, for modes of the rigid body."""
 
-NUDGE = 1e-5
-"""Size of the differences, in the units of the axes: their error is its square."""
+TIGHT_GAINS = (0.8, 1.25)
+"""Factors likewise: a gain margin of 2 dB either way. With less, limits of the rotors decide whether a disturbed loop is lost,
+which only a flight tells."""
 
 ROUND_OFF = 1e-7
 """By which the spectral radius of a mode that neither grows nor decays may miss 1."""
@@ -59,112 +51,43 @@ DT_RANGE = (1e-5, 1.0)
 HALVINGS = 24
 """Of the logarithm of that range: to 1e-6 of the time step."""
 
-
-def single_vehicle(vehicle: Vehicle, num_rows: int) -> Vehicle:
-    """Return the first environment's vehicle in ``num_rows`` rows on the CPU, in float64."""
-    return vehicle.map_rows(lambda rows: share_row(rows[0].detach().cpu().double(), num_rows))
+FINEST_DELAY = 24
+"""Physics steps of a dead time beyond which shorter ones are not looked for: they change the lag by less than a twentieth."""
 
 
-def closed_loop_modes(
-    vehicle: Vehicle,
-    make_law: Callable[[Vehicle], ControlLaw],
-    hover_action: Tensor,
-    *,
-    axes: str,
-    gravity: float,
-    dt: float,
-    integrator: str,
-    hover_thrust: Tensor,
-    loop_gain: float = 1.0,
-) -> Tensor:
-    """Return the eigenvalues of the closed loop at hover, complex, by physics step: ``exp(s dt)`` of its poles s.
+Corner = tuple[int, ...] | None
+"""Which end of the range of each drawn gain: 0 or 1; None for the declared gains."""
 
-    A law with memory is followed over its own period, together with what it remembers; they are the roots of those.
+HEIGHT = 2.0
+"""World z at which hover is judged [m], for wind by height."""
 
-    Args:
-        vehicle: As declared.
-        make_law: Returns the law for a vehicle of any number of rows.
-        hover_action: That holds the vehicle at rest at the origin, (U,).
-        axes: Names among ``AXES`` that the law controls; the rotors always count.
-        gravity: Downward acceleration of free fall [m/s²].
-        dt: Time step [s].
-        integrator: Name of the stepper.
-        hover_thrust: Thrusts at rest [N], (R,).
-        loop_gain: Factor on what the law asks of the rotors beyond hover [-].
-    """
-    law = make_law(single_vehicle(vehicle, 1))
-    memory = law.resting(hover_thrust) if isinstance(law, RememberingController) else None
-    extra = 0 if memory is None else memory.shape[0]
-    width, steps = len(AXES) + vehicle.num_rotors + extra, law.period if isinstance(law, RememberingController) else 1
-    plant = single_vehicle(vehicle, 2 * width)
-    trim = _speed(plant, hover_thrust)
-    rest = trim if memory is None else torch.cat((trim, memory.to(trim)))
-    size = torch.cat((torch.ones(len(AXES), dtype=trim.dtype), rest.abs().clamp_min(1.0)))
-    nudges = NUDGE * torch.cat((torch.eye(width, dtype=trim.dtype), -torch.eye(width, dtype=trim.dtype)))
-    loop = _Loop(make_law(plant), build_model(plant, gravity=gravity), INTEGRATORS[integrator], dt, loop_gain)
-    action, slopes = hover_action.to(trim).expand(2 * width, -1), {}
-    slope = torch.eye(width, dtype=trim.dtype)
-    for step in range(steps):
-        phase = law.phase(step) if isinstance(law, RememberingController) else None
-        if phase not in slopes:
-            end = loop.after(nudges * size, rest, action, step) / size
-            slopes[phase] = (end[:width] - end[width:]).T / (2.0 * NUDGE)
-        slope = slopes[phase] @ slope
-    if isinstance(law, RememberingController):
-        slope = torch.cat((slope[: width - extra], law.turned_back(slope[width - extra :].T).T))
-    kept = [AXES.index(name) for name in axes.split()] + list(range(len(AXES), width))
-    return torch.linalg.eigvals(slope[kept][:, kept]) ** (1.0 / steps)
+FAR = 1e3
+"""Distance of ground and ceiling from hover [m]."""
 
 
-class _Loop:
-    """A step of a closed loop, from offsets to offsets (2 N, N) from rest."""
-
-    def __init__(self, law: ControlLaw, model: Model, stepper: Stepper, dt: float, gain: float) -> None:
-        self._law, self._model, self._stepper, self._dt, self._gain = law, model, stepper, dt, gain
-
-    def after(self, offsets: Tensor, rest: Tensor, action: Tensor, step: int) -> Tensor:
-        """Return where the offsets are after a step of the period; ``rest`` is that of rotors and memory."""
-        num_rotors = self._model.vehicle.num_rotors
-        state = _state(offsets[:, : len(AXES) + num_rotors], rest[:num_rotors])
-        cascade = self._law if isinstance(self._law, RememberingController) else None
-        resting, changes = rest[num_rotors:], offsets[:, len(AXES) + num_rotors :]
-        memory = None if cascade is None else cascade.memory_from(resting + changes, step)
-        command, memory = law_command(self._law, state, action, memory)
-        command = rest[:num_rotors] + self._gain * (command - rest[:num_rotors])
-        state = to_body_state(
-            self._model, self._stepper(self._model, to_mass_state(self._model, state), command, self._dt)
-        )
-        moved = _offsets(state, rest[:num_rotors])
-        if cascade is None or memory is None:
-            return moved
-        return torch.cat((moved, cascade.remembered(memory) - resting), dim=-1)
+def hover_model(
+    robot: RobotCfg, vehicle: Vehicle, *, gravity: float, effects: Sequence[EffectParams] | None = None
+) -> Model:
+    """Return vehicles with the effects of a robot file that act at hover in free air, or with others."""
+    if effects is None:
+        check_effects(robot)
+        effects = robot_effects(robot, num_envs=1, device=torch.device("cpu"), dtype=torch.float64, rigid=True)
+    acting = [each for each in effects if not (each[0].random and isinstance(each[0], WindEffect | WrenchEffect))]
+    return build_model(vehicle, acting, gravity=gravity, ground_height=-FAR, ceiling_height=FAR)
 
 
-def _speed(plant: Vehicle, thrust: Tensor) -> Tensor:
-    return state_for_thrust(plant, thrust.to(plant.mass).expand(plant.num_envs, -1))[0]
-
-
-def _state(offsets: Tensor, trim: Tensor) -> BodyState:
-    position, turn, lin_vel, ang_vel, rotors = offsets.split((3, 3, 3, 3, trim.shape[0]), dim=-1)
-    return BodyState(
-        position=position, attitude=quat_exp(turn), lin_vel=lin_vel, ang_vel=ang_vel, rotor_speed=trim + rotors
-    )
-
-
-def _offsets(state: BodyState, trim: Tensor) -> Tensor:
-    parts = replace(state, attitude=quat_log(state.attitude), rotor_speed=state.rotor_speed - trim)
-    return torch.cat(parts.tensors(), dim=-1)
-
-
-def largest_stable_dt(radius: Callable[[float], float], unstable: float) -> float | None:
+def largest_stable_dt(
+    radius: Callable[[float], float], unstable: float, *, lowest: float = DT_RANGE[0]
+) -> float | None:
     """Return the largest time step [s] below an unstable one at which the loop is stable; None if there is none.
 
     Args:
         radius: Spectral radius at a time step [s].
         unstable: A time step at which it is above 1.
+        lowest: The shortest time step that is tried.
     """
-    low, high = DT_RANGE[0], unstable
-    if radius(low) > 1.0 + ROUND_OFF:
+    low, high = lowest, unstable
+    if low >= high or radius(low) > 1.0 + ROUND_OFF:
         return None
     for _ in range(HALVINGS):
         middle = exp(0.5 * (log(low) + log(high)))
@@ -172,104 +95,47 @@ def largest_stable_dt(radius: Callable[[float], float], unstable: float) -> floa
     return low
 
 
-def check_closed_loop(
-    robot: RobotCfg,
-    controller: ControllerCfg,
-    *,
-    gravity: float,
-    dt: float,
-    integrator: str,
-    names: tuple[str, str],
-    randomize: Randomize | None = None,
-) -> None:
-    """Refuse a robot that under its controller at this time step does not come to rest, or has too little gain margin.
-
-    The margin is that of ``LOOP_GAINS``. So it is with derived gains, with those of a robot file, and with those that the name
-    of a controller means. Someone's result may be worth reproducing as it is, limit cycles and all: with
-    ``ControllerCfg.if_unstable`` there is a warning instead.
-
-    Args:
-        robot: What flies, as declared.
-        controller: Law and gains.
-        gravity: Downward acceleration of free fall [m/s²].
-        dt: Time step [s].
-        integrator: Name of the stepper.
-        names: Of robot and controller, for people.
-        randomize: What is drawn, by name; the ends of its gains must come to rest as well.
-
-    Raises:
-        ConfigError: If the vehicle cannot hover, or the loop is refused.
-    """
-    if controller.law not in LAWS:
-        return
-    loop = ClosedLoop(
-        robot, controller, gravity=gravity, integrator=integrator, names=names, drawn=drawn_gains(randomize or {})
-    )
-    if vain := _held_in_vain(loop.idle, controller, robot):
-        refuse(
-            controller,
-            f"robot {names[0]} with controller {names[1]}: the explicit gains hold {vain}, about which its rotors have no "
-            f"torque, and an error that stays there hides the others. Give attitude gains of 0 about {vain}, or leave them out",
-        )
-    if loop.is_firm(dt):
-        return
-    radii, margins = loop.radii(dt), loop.margins(dt)
-    if not _rests(radii):
-        fault = f"is unstable: a disturbance at hover grows by a factor of {max(radii):.3g} in each step"
-    else:
-        gain, growth = max(zip(LOOP_GAINS, margins, strict=True), key=lambda pair: pair[1])
-        fault = f"is nearly unstable: asking {gain:g} times as much of the rotors, a disturbance grows by {growth:.3g} a step"
-    gains, way_out = _gains_at_fault(loop, controller, robot, drawn=_rests(radii[:1]) and not _rests(radii))
-    best = loop.largest_firm_dt(dt)
-    span = (
-        "No dt has a gain margin of 6 dB"
-        if best is None
-        else f"The largest dt with a gain margin of 6 dB is {best:.3g} s"
-    )
-    refuse(
-        controller,
-        f"robot {names[0]} with controller {names[1]} at dt = {dt:g} s {fault}, with {gains}. {span}: {way_out}",
-    )
-
-
-def refuse(controller: ControllerCfg, message: str) -> None:
-    """Raise ``ConfigError`` with a message, or warn where ``ControllerCfg.if_unstable`` says so."""
-    if controller.if_unstable == "refuse":
-        raise ConfigError(message)
-    logging.getLogger(__name__).warning(message)
-
-
-def _held_in_vain(idle: list[str], controller: ControllerCfg, robot: RobotCfg) -> str:
-    """Return about which axes explicit gains would hold a vehicle whose rotors cannot; empty if there are none."""
-    explicit = None if controller.autopilot else explicit_gains_of(controller, robot.control)
-    return "" if explicit is None else " and ".join(name for name in idle if explicit.attitude[TURNS.index(name)] > 0.0)
-
-
-def _rests(radii: list[float]) -> bool:
+def stable(radii: Sequence[float]) -> bool:
+    """Return whether no spectral radius is above 1, up to round-off."""
     return max(radii) <= 1.0 + ROUND_OFF
 
 
-def _gains_at_fault(loop: "ClosedLoop", controller: ControllerCfg, robot: RobotCfg, *, drawn: bool) -> tuple[str, str]:
-    """Return which gains do not hold a vehicle, and what can be done."""
-    if drawn:
-        names = ", ".join(f"gains.{name}" for name in loop.drawn)
-        return f"gains at the ends of what is drawn of {names}", "narrow these ranges (randomize:)"
-    if not has_explicit_gains(controller, robot.control):
-        return "its frequencies and damping", "lower the frequencies"
-    return (
-        "the explicit gains given",
-        "lower them, or leave them out to have them derived (lee_*, pid_*); "
-        'dataclasses.replace(controller, if_unstable="warn") flies them as they are',
-    )
+@dataclass(frozen=True, kw_only=True)
+class Hover:
+    """What becomes of a hover that begins at its setpoint."""
 
+    stable: bool
+    """Whether the loop has a rest, and disturbances about it decay."""
 
-def drawn_gains(randomize: Randomize) -> dict[str, RandomizeCfg]:
-    """Return what is drawn of gains, by their own names."""
-    return {name: randomize[f"gains.{name}"] for name in GAINS if f"gains.{name}" in randomize}
+    growth: float
+    """Factor on a small disturbance in each physics step: the spectral radius."""
+
+    offset: tuple[float, float, float]
+    """Rest from the setpoint [m], world; 0 where there is no rest."""
+
+    drift: tuple[float, float, float]
+    """Velocity at rest [m/s], world: of laws that hold no place."""
+
+    distance: float
+    """Largest distance from the setpoint [m] within ``HOVER_SPAN`` of a hover that begins there at rest, predicted; 0 of
+    unstable loops, and of laws that leave place and velocity to themselves."""
+
+    flown: float | None
+    """Distance from rest [m] at the end of flights from disturbances; None where they are not flown."""
+
+    @property
+    def lost(self) -> bool:
+        """Whether a disturbed vehicle does not come back."""
+        return not self.stable if self.flown is None else self.flown > HOVER_RANGE
+
+    @property
+    def holds(self) -> bool:
+        """Whether it stays within ``HOVER_RANGE``."""
+        return not self.lost and self.distance <= HOVER_RANGE
 
 
 class ClosedLoop:
-    """A robot under a controller, at any time step."""
+    """A robot under a controller, at any time step; or several vehicles for which that controller was made."""
 
     def __init__(
         self,
@@ -280,13 +146,34 @@ class ClosedLoop:
         integrator: str,
         names: tuple[str, str],
         drawn: Mapping[str, RandomizeCfg] | None = None,
+        model: Model | None = None,
     ) -> None:
-        """Find hover, and the axes that the law and the rotors control."""
+        """Find hover, and the axes that the law and the rotors control.
+
+        Args:
+            robot: As declared.
+            controller: Law and gains.
+            gravity: Downward acceleration of free fall [m/s²].
+            integrator: Name of the stepper.
+            names: Of robot and controller, for people.
+            drawn: What is drawn of gains, by their own names.
+            model: Vehicles in float64 on the CPU, of one dead time, in place of the robot with its effects.
+
+        Raises:
+            ConfigError: If the rotors cannot carry the declared vehicle, or an effect cannot act on it.
+        """
         self._robot, self._controller, self._gravity, self._integrator = robot, controller, gravity, integrator
         self.drawn = drawn or {}
         """What is drawn of gains, by name."""
         self._corners = [None, *(product((0, 1), repeat=len(self.drawn)) if self.drawn else ())]
         self._vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
+        self._model = hover_model(robot, self._vehicle, gravity=gravity) if model is None else model
+        places = self._model.effects.places(self._vehicle.num_rotors)
+        self._drifting = [place.memory.start + number for place in places for number in place.effect.drifting]
+        self.delay = max((float(effect.delay(p).max()) for effect, p in self._model.effects[DelayEffect]), default=0.0)
+        """Longest dead time [s]."""
+        self._rests: dict[tuple[float, Corner], Rest] = {}
+        self._modes: dict[tuple[float, Corner, float], Tensor] = {}
         allocation = Allocation(self._vehicle, gravity)
         self._felt = apparent_gravity(robot.control, robot.body.mass, gravity)
         weight = robot.body.mass * self._felt
@@ -318,50 +205,134 @@ class ClosedLoop:
         """Return the spectral radius with the declared gains times each of ``LOOP_GAINS``."""
         return [self._radius_with(None, gain, dt) for gain in LOOP_GAINS]
 
+    def is_stable(self, dt: float) -> bool:
+        """Return whether the loop comes to rest at a time step [s], also with gains at the ends of what is drawn."""
+        return all(bool(self.rest(dt, corner).found.all()) for corner in self._corners) and stable(self.radii(dt))
+
     def is_firm(self, dt: float) -> bool:
-        """Return whether a time step [s] is not refused: the loop comes to rest, also with the margin of ``LOOP_GAINS``."""
-        return _rests(self.radii(dt) + self.margins(dt))
+        """Return whether the loop comes to rest at a time step [s] with the margin of ``LOOP_GAINS``."""
+        return self.is_stable(dt) and stable(self.margins(dt))
 
     def largest_stable_dt(self, unstable: float) -> float | None:
         """Return the largest time step [s] below an unstable one at which all are stable; None if there is none."""
         return self._largest_dt([(corner, 1.0) for corner in self._corners], unstable)
 
     def largest_firm_dt(self, unfirm: float) -> float | None:
-        """Return the same with the margin of ``LOOP_GAINS``: the largest time step [s] that is not refused."""
+        """Return the same with the margin of ``LOOP_GAINS``."""
         return self._largest_dt(
             [*((corner, 1.0) for corner in self._corners), *((None, gain) for gain in LOOP_GAINS)], unfirm
         )
 
-    def _largest_dt(self, cases: list[tuple[tuple[int, ...] | None, float]], unstable: float) -> float | None:
+    def _largest_dt(self, cases: list[tuple[Corner, float]], unstable: float) -> float | None:
         best: float | None = unstable
-        while best is not None and not _rests(radii := [self._radius_with(*case, best) for case in cases]):
-            best = largest_stable_dt(partial(self._radius_with, *cases[radii.index(max(radii))]), best)
+        lowest = max(DT_RANGE[0], self.delay / FINEST_DELAY)
+        while best is not None and not stable(radii := [self._radius_with(*case, best) for case in cases]):
+            best = largest_stable_dt(partial(self._radius_with, *cases[radii.index(max(radii))]), best, lowest=lowest)
         return best
 
     def modes(self, dt: float) -> Tensor:
         """Return ``exp(s dt)`` of the poles s [1/s] of the loop with the declared gains at a time step [s], complex."""
-        return self._modes_with(None, 1.0, dt)
+        return self._modes_with(None, 1.0, dt)[0]
 
-    def _radius_with(self, corner: tuple[int, ...] | None, loop_gain: float, dt: float) -> float:
+    def _radius_with(self, corner: Corner, loop_gain: float, dt: float) -> float:
         return float(self._modes_with(corner, loop_gain, dt).abs().max())
 
-    def _modes_with(self, corner: tuple[int, ...] | None, loop_gain: float, dt: float) -> Tensor:
-        def make_law(vehicle: Vehicle) -> ControlLaw:
-            law = make_controller(self._controller, vehicle, self._gravity, dt=dt, control=self._robot.control)
-            if corner is not None and isinstance(law, LeeController | CascadeController):
-                chosen, known = zip(self.drawn.items(), corner, strict=True), law.named_gains
-                ends = {name: ends_of(name, cfg, known[name])[end] for (name, cfg), end in chosen if name in known}
-                law.gains = replace(law.gains, **ends)
-            return law
+    def _modes_with(self, corner: Corner, loop_gain: float, dt: float) -> Tensor:
+        if (dt, corner, loop_gain) not in self._modes:
+            self._modes[dt, corner, loop_gain] = self._eigenvalues(self.rest(dt, corner), loop_gain)
+        return self._modes[dt, corner, loop_gain]
 
-        return closed_loop_modes(
-            self._vehicle,
-            make_law,
-            torch.zeros(len(LAWS[self._controller.law].action)),
-            axes=self.axes,
-            gravity=self._felt,
+    def _eigenvalues(self, rest: Rest, loop_gain: float) -> Tensor:
+        mapped, width = rest.loop.period_map(gain=loop_gain), rest.state.shape[1]
+        rows = [*self._kept(width), *range(width, mapped.shape[1] - 1)]
+        return torch.linalg.eigvals(mapped[:, rows][:, :, rows]) ** (1.0 / len(rest.loop.steps))
+
+    def growth(self, dt: float) -> Tensor:
+        """Return the spectral radius of each vehicle at a time step [s], (B,)."""
+        return self._modes_with(None, 1.0, dt).abs().amax(-1)
+
+    def hover(self, dt: float) -> Hover:
+        """Return the hover of the first vehicle at a time step [s], flown where ``TIGHT_GAINS`` are too much for it."""
+        found = self.hovers(dt)[0]
+        tight = not (found.stable and stable([self._radius_with(None, gain, dt) for gain in TIGHT_GAINS]))
+        if not (tight and self.holds_place):
+            return found
+        loop, returns = self._sampled(dt, None), "x" in self.axes.split()
+        flown = flown_distance(loop, self.rest(dt), self._action(), returns=returns, decays=found.stable)
+        return replace(found, flown=flown)
+
+    def hovers(self, dt: float) -> list[Hover]:
+        """Return the hover of each vehicle at a time step [s], without flights."""
+        rest, growth = self.rest(dt), self.growth(dt)
+        rests = rest.found & (growth <= 1.0 + ROUND_OFF)
+        reached = self.distance(dt) if self.holds_place else torch.zeros_like(growth)
+        rows = zip(
+            rests.tolist(), growth.tolist(), rest.offset.tolist(), rest.drift.tolist(), reached.tolist(), strict=True
+        )
+        return [
+            Hover(
+                stable=rested,
+                growth=factor,
+                offset=tuple(offset),
+                drift=tuple(drift),
+                distance=distance if rested else 0.0,
+                flown=None,
+            )
+            for rested, factor, offset, drift, distance in rows
+        ]
+
+    @property
+    def holds_place(self) -> bool:
+        """Whether the law holds a place, or a velocity, which is 0 at hover."""
+        return "vx" in self.axes.split()
+
+    def rest(self, dt: float, corner: Corner = None) -> Rest:
+        """Return where the loop comes to rest at a time step [s]."""
+        if (dt, corner) not in self._rests:
+            loop = self._sampled(dt, corner)
+            start = loop.start(HEIGHT, self._hover)
+            self._rests[dt, corner] = find_rest(loop, start, self._action(), self._kept(start.shape[1]))
+        return self._rests[dt, corner]
+
+    def left_after(self, dt: float, steps: int, size: Tensor) -> Tensor:
+        """Return the largest distance from rest on each of ``AXES``, (12,), some steps after starts up to a size on each."""
+        loop = self.rest(dt).loop
+        mapped = torch.linalg.matrix_power(loop.period_map()[0], steps // len(loop.steps))
+        return mapped[:BODY, :BODY].abs() @ size.to(mapped)
+
+    def distance(self, dt: float) -> Tensor:
+        """Return the largest distance [m] of each vehicle from its start within ``HOVER_SPAN`` of hover, (B,)."""
+        rest = self.rest(dt)
+        return distances(rest, rotors=rest.start[0, BODY : BODY + len(self._hover)], dt=dt).amax(0)
+
+    def _kept(self, width: int) -> list[int]:
+        """Return the numbers of a state vector of some width that the loop brings to rest."""
+        first = BODY + len(self._hover)
+        drifting = {first + place for place in self._drifting}
+        return [AXES.index(name) for name in self.axes.split()] + [
+            number for number in range(BODY, width) if number not in drifting
+        ]
+
+    def _action(self) -> Tensor:
+        law = LAWS[self._controller.law]
+        action = torch.zeros(len(law.action), dtype=torch.float64)
+        if "z" in law.trim.split():
+            action[AXES.index("z")] = HEIGHT
+        return action
+
+    def _sampled(self, dt: float, corner: Corner) -> SampledLoop:
+        return SampledLoop(
+            self._model,
+            partial(self._make_law, dt, corner),
+            declared=self._vehicle,
             dt=dt,
             integrator=self._integrator,
-            hover_thrust=self._hover,
-            loop_gain=loop_gain,
         )
+
+    def _make_law(self, dt: float, corner: Corner, vehicle: Vehicle) -> ControlLaw:
+        law = make_controller(self._controller, vehicle, self._gravity, dt=dt, control=self._robot.control)
+        if corner is not None and isinstance(law, LeeController | CascadeController):
+            chosen, known = zip(self.drawn.items(), corner, strict=True), law.named_gains
+            ends = {name: ends_of(name, cfg, known[name])[end] for (name, cfg), end in chosen if name in known}
+            law.gains = replace(law.gains, **ends)
+        return law

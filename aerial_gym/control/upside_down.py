@@ -18,8 +18,8 @@ from aerial_gym.config.robot import InitialStateCfg, RobotCfg
 from aerial_gym.control.controllers import Controller, make_controller
 from aerial_gym.control.effectiveness import allocation_matrix
 from aerial_gym.control.laws import LAWS
+from aerial_gym.control.loop_check import refuse
 from aerial_gym.control.remembering import RememberingController
-from aerial_gym.control.stability import refuse
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.physics.law_memory import fresh_law_memory
 from aerial_gym.physics.rotors import rotor_thrust

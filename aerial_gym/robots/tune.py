@@ -38,7 +38,7 @@ class TunedRobot:
     """Whether yaw is slower than asked, as there is no more torque."""
 
     radius: float
-    """Spectral radius of the sampled loop of ``lee_position_control`` at hover, without dead time; below 1 it comes to rest."""
+    """Spectral radius of the sampled loop of ``lee_position_control`` at hover, with its effects; below 1 it comes to rest."""
 
 
 def tune_robot(

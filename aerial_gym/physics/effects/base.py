@@ -264,6 +264,8 @@ class Effect(ABC):
     """Effects with as many parameters that it is a wider case of: where flights do not tell them apart, these are meant."""
     memory: ClassVar[tuple[float, ...]] = ()
     """Values right after a reset of the numbers that it remembers of each environment."""
+    drifting: ClassVar[tuple[int, ...]] = ()
+    """Places in ``memory`` of numbers that grow throughout a flight, such as a drawn charge: they never come to rest."""
     rotor_memory: ClassVar[tuple[float, ...]] = ()
     """Values right after a reset of what it remembers of each rotor; all rotors of the first one come first."""
     needs: ClassVar[tuple[Literal["position", "ceiling_height", "other_position"], ...]] = ()

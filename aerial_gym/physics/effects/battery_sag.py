@@ -50,6 +50,7 @@ class BatterySag(CommandEffect):
     follows = ("voltage",)
     memory = (0.0, 0.0)
     """Charge drawn [A s] and voltage [V]; the latter is written before it is first read."""
+    drifting = (0,)
     logged = ("battery",)
 
     def check(self, robot: RobotCfg) -> None:

@@ -1,0 +1,325 @@
+"""The closed loop of vehicles and their control law as it is sampled, linearised about any state.
+
+The state vector x holds everything that the next step depends on: the twelve ``AXES`` of the body, the states of the rotors,
+the memory of effects, and the memory of the law. Law and plant are differentiated apart, by central differences of the torch
+reference in float64, with all vehicles and perturbations side by side as environments. Commands on their way to the rotors
+(dead time) are added as exact delay states. A law that runs less often than the physics has a period; its map is the product
+of its steps. Laws read the true state of the body: latencies of sensors reach observations alone.
+Letters: B vehicles under one law, E environments, R rotors, X numbers of the state vector, Z of them of the plant, N of law
+memory, Q independent commands, D delay states.
+"""
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, replace
+from functools import cached_property, partial, reduce
+from itertools import groupby
+
+import torch
+from torch import Tensor
+
+from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.remembering import RememberingController
+from aerial_gym.math.quaternion import quat_exp, quat_log
+from aerial_gym.physics.backend import ControlLaw, PhysicsBackend
+from aerial_gym.physics.effects import DelayEffect, EffectsByKind
+from aerial_gym.physics.integrators import INTEGRATORS
+from aerial_gym.physics.law_memory import law_command
+from aerial_gym.physics.memory import Memory, make_memory
+from aerial_gym.physics.model import Model
+from aerial_gym.physics.rotors import state_for_thrust
+from aerial_gym.physics.state import BodyState
+from aerial_gym.physics.torch_backend import advance_remembering
+from aerial_gym.physics.vehicle import Vehicle, is_shared, own_rows, share_row
+
+AXES = ("x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "p", "q", "r")
+"""Motion of the body [m, rad, m/s, rad/s]; attitude as a rotation vector."""
+
+BODY = len(AXES)
+"""Numbers of the state vector before those of the rotors."""
+
+NUDGE = 1e-5
+"""Size of the differences, in the units of the axes: their error is its square."""
+
+INDEPENDENT = 1e-9
+"""Singular value of the commands' derivatives, as a share of the largest, below which a combination of rotors is not used."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinearStep:
+    """One physics step about a state of each vehicle: derivatives, and the change of a state that is not at rest."""
+
+    plant: Tensor
+    """Plant state after per plant state before, (B, Z, Z)."""
+
+    earlier: Tensor
+    """Plant state after per command that acts first where a command arrives within the step, (B, Z, R); 0 where none does."""
+
+    later: Tensor
+    """Plant state after per command that acts from then on, (B, Z, R)."""
+
+    command: Tensor
+    """Command per state, (B, R, X)."""
+
+    law: Tensor
+    """Memory of the law after per state, (B, N, X)."""
+
+    change: Tensor
+    """State after the step less that before, (B, X)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearLoop:
+    """A period of the closed loop about a state of each vehicle."""
+
+    steps: tuple[LinearStep, ...]
+    """In their order; steps of equal phases are the same object."""
+
+    told: Tensor
+    """Command in that state, (B, R)."""
+
+    turned_back: Callable[[Tensor], Tensor]
+    """Law memory (..., N) after a period in the order of before."""
+
+    slots: int
+    """Commands on their way: whole physics steps of dead time and one; 0 without a dead time."""
+
+    @cached_property
+    def basis(self) -> Tensor:
+        """Orthonormal combinations of rotors that the law uses, (R, Q)."""
+        commands = torch.cat([torch.cat(list(step.command), dim=-1) for step in dict.fromkeys(self.steps)], dim=-1)
+        combinations, sizes, _ = torch.linalg.svd(commands, full_matrices=False)
+        return combinations[:, sizes > INDEPENDENT * sizes[0]]
+
+    def period_map(self, *, gain: float = 1.0, late: bool = True) -> Tensor:
+        """Return the affine map of deviations over a period, (B, X + D + 1, X + D + 1); its last column is the change.
+
+        Args:
+            gain: Factor on what the law asks of the rotors beyond rest [-].
+            late: Whether commands have their dead time; a rest is the same without, and D is 0 then.
+        """
+        slots, parts = self.slots if late else 0, []
+        for step, run in groupby(self.steps):
+            matrix = _step_map(step, self.basis, slots=slots, gain=gain)
+            parts.append(torch.linalg.matrix_power(matrix, len(list(run))))
+        whole = reduce(lambda before, after: after @ before, parts)
+        plant, size = self.steps[0].plant.shape[-1], self.steps[0].change.shape[-1]
+        remembered = whole[:, plant:size].mT
+        whole[:, plant:size] = self.turned_back(remembered.flatten(0, 1)).view(remembered.shape).mT
+        return whole
+
+
+def _step_map(step: LinearStep, basis: Tensor, *, slots: int, gain: float) -> Tensor:
+    """Return the affine map of a physics step, (B, X + slots Q + 1, X + slots Q + 1); the newest command comes first."""
+    (count, size), plant, width = step.change.shape, step.plant.shape[-1], basis.shape[1]
+    matrix = step.plant.new_zeros(count, size + slots * width + 1, size + slots * width + 1)
+    asked = gain * basis.T @ step.command
+    matrix[:, :plant, :plant] = step.plant
+    matrix[:, plant:size, :size] = step.law
+    matrix[:, :size, -1] = step.change
+    matrix[:, -1, -1] = 1.0
+    for slopes, age in ((step.later @ basis, slots - 1), (step.earlier @ basis, slots)):
+        if age <= 0:
+            matrix[:, :plant, :size] += slopes @ asked
+        else:
+            matrix[:, :plant, size + (age - 1) * width : size + age * width] += slopes
+    if slots:
+        matrix[:, size : size + width, :size] = asked
+        matrix[:, size:-1, size:-1].diagonal(-width, dim1=1, dim2=2).fill_(1.0)
+    return matrix
+
+
+class SampledLoop:
+    """Vehicles with their effects under one control law, at one time step."""
+
+    def __init__(
+        self, model: Model, make_law: Callable[[Vehicle], ControlLaw], *, declared: Vehicle, dt: float, integrator: str
+    ) -> None:
+        """Take the vehicles and their law.
+
+        Args:
+            model: Vehicles with their effects, in float64 on the CPU, of one whole number of steps of dead time.
+            make_law: Returns the law for a declared vehicle of any number of rows.
+            declared: The vehicle that the law knows; all rows are the first one.
+            dt: Time step [s].
+            integrator: Name of the stepper.
+        """
+        self._model, self._declared, self._make_law = model, declared, make_law
+        self.dt = dt
+        """Time step [s]."""
+        self._integrator = integrator
+        law = make_law(_repeated_vehicle(declared, 1))
+        self._cascade = law if isinstance(law, RememberingController) else None
+        self._laws: dict[int, ControlLaw] = {}
+        self._plants: dict[int, tuple[Model, Memory]] = {}
+        self._whole = whole_delay(model, dt)
+        self.num_rotors = model.vehicle.num_rotors
+        self.num_plant = BODY + self.num_rotors + len(self._plant(1)[1].initial)
+        """Z."""
+
+    def start(self, height: float, thrust: Tensor) -> Tensor:
+        """Return the state of rest at a height [m], (B, X), with what effects and law remember after a reset.
+
+        Args:
+            height: World z of the body origin [m].
+            thrust: Of the declared rotors [N], (R,).
+        """
+        body = torch.zeros(BODY, dtype=torch.float64)
+        body[AXES.index("z")] = height
+        thrust = thrust.to(body)
+        speed = state_for_thrust(_repeated_vehicle(self._declared, 1), thrust.unsqueeze(0))[0]
+        law = body[:0] if self._cascade is None else self._cascade.resting(thrust)
+        state = torch.cat((body, speed, self._plant(1)[1].initial, law))
+        return state.repeat(self._model.vehicle.num_envs, 1)
+
+    def linearised(self, state: Tensor, action: Tensor) -> LinearLoop:
+        """Return the loop about states (B, X) under an action (U,)."""
+        cascade, plant = self._cascade, state[:, : self.num_plant]
+        size = state.abs().clamp_min(1.0)
+        size[:, :BODY] = 1.0
+        phases = [None] if cascade is None else [cascade.phase(number) for number in range(cascade.period)]
+        told = self._commanded(state, action, 0)[0]
+        reach = torch.cat((size[:, : self.num_plant], *[told.abs().clamp_min(1.0)] * 2), dim=-1)
+        moved = _slopes(self._moved, torch.cat((plant, told, told), dim=-1), reach)
+        moved, earlier, later = moved.split((plant.shape[1], told.shape[1], told.shape[1]), dim=-1)
+        found: dict[Hashable, LinearStep] = {}
+        for number, phase in enumerate(phases):
+            if phase in found:
+                continue
+            command, memory = self._commanded(state, action, number)
+            asked = _slopes(partial(self._answered, action, number), state, size)
+            after = torch.cat((self._moved(torch.cat((plant, command, command), dim=-1)), memory), dim=-1)
+            found[phase] = LinearStep(
+                plant=moved,
+                earlier=earlier,
+                later=later,
+                command=asked[:, : told.shape[1]],
+                law=asked[:, told.shape[1] :],
+                change=after - state,
+            )
+        return LinearLoop(
+            steps=tuple(found[phase] for phase in phases),
+            told=told,
+            turned_back=(lambda rows: rows) if cascade is None else cascade.turned_back,
+            slots=self._whole + 1 if self._model.effects[DelayEffect] else 0,
+        )
+
+    def fly_in(self, backend: PhysicsBackend, states: Tensor) -> BodyState:
+        """Give the first vehicle and its law to a backend, and return the body in states (E, X), to be stepped there."""
+        count = len(states)
+        first = single(self._model)
+        law = self._make_law(_repeated_vehicle(single_vehicle(self._declared), count))
+        _follow(getattr(law, "allocation", None), _repeated_vehicle(first.vehicle, count))
+        backend.allocate(repeated(first, count), law, integrator=self._integrator)
+        return _body(states[:, : BODY + self.num_rotors])
+
+    def _answered(self, action: Tensor, number: int, states: Tensor) -> Tensor:
+        """Return commands and law memory, (E, R + N), at a step of a period."""
+        return torch.cat(self._commanded(states, action, number), dim=-1)
+
+    def _commanded(self, states: Tensor, action: Tensor, number: int) -> tuple[Tensor, Tensor]:
+        """Return commands (E, R) in states (E, X) at a step of a period, and the memory of the law after it, (E, N)."""
+        law, cascade = self._law(len(states)), self._cascade
+        body, remembered = _body(states[:, : BODY + self.num_rotors]), states[:, self.num_plant :]
+        memory = None if cascade is None else cascade.memory_from(remembered, number)
+        command, memory = law_command(law, body, action.expand(len(states), -1), memory)
+        return command, remembered if cascade is None or memory is None else cascade.remembered(memory)
+
+    def _moved(self, rows: Tensor) -> Tensor:
+        """Return plant states (E, Z) after a step, from rows of plant state, earlier and later command, (E, Z + 2 R)."""
+        states, earlier, later = rows.split((self.num_plant, self.num_rotors, self.num_rotors), dim=-1)
+        model, memory = self._plant(len(rows) // self._model.vehicle.num_envs)
+        body, numbers = _body(states[:, : BODY + self.num_rotors]), states[:, BODY + self.num_rotors :]
+        known = None
+        if model.effects.remembering:
+            past = memory.past.clone()
+            past[:, self._whole : self._whole + 1] = earlier.unsqueeze(1)
+            past[:, max(self._whole - 1, 0) : self._whole] = later.unsqueeze(1)
+            known = replace(memory, numbers=numbers, past=past)
+        body, after = advance_remembering(model, INTEGRATORS[self._integrator], None, body, later, self.dt, 1, known)
+        numbers = numbers if after is None else after.numbers
+        return torch.cat((*replace(body, attitude=quat_log(body.attitude)).tensors(), numbers), dim=-1)
+
+    def _plant(self, each: int) -> tuple[Model, Memory]:
+        """Return the vehicles in ``each`` rows, and a memory in which every command on its way is one of the law's."""
+        if each not in self._plants:
+            model = repeated(self._model, each)
+            memory = make_memory(model, self.dt)
+            long_ago = torch.full_like(memory.since, memory.past.shape[1])
+            self._plants[each] = model, replace(memory, since=long_ago)
+        return self._plants[each]
+
+    def _law(self, num_rows: int) -> ControlLaw:
+        if num_rows not in self._laws:
+            self._laws[num_rows] = law = self._make_law(_repeated_vehicle(single_vehicle(self._declared), num_rows))
+            each = num_rows // self._model.vehicle.num_envs
+            _follow(getattr(law, "allocation", None), _repeated_vehicle(self._model.vehicle, each))
+        return self._laws[num_rows]
+
+
+def whole_delay(model: Model, dt: float) -> int:
+    """Return the whole physics steps of the first vehicle's dead time, as ``physics.memory`` counts them; 0 without one."""
+    for effect, params in model.effects[DelayEffect]:
+        return int(float(effect.delay(params)[0]) / dt)
+    return 0
+
+
+def repeated(model: Model, each: int) -> Model:
+    """Return a model with every vehicle in ``each`` rows, one after the other."""
+    params = [(effect, rows.repeat_interleave(each, 0)) for effect, rows in model.effects]
+    return replace(
+        model,
+        vehicle=_repeated_vehicle(model.vehicle, each),
+        inertia_inverse=_repeated_rows(model.inertia_inverse, each),
+        other_position=_repeated_rows(model.other_position, each),
+        effects=EffectsByKind(params),
+    )
+
+
+def single(model: Model) -> Model:
+    """Return the model of the first vehicle alone."""
+    effects = EffectsByKind((effect, params[:1]) for effect, params in model.effects)
+    return replace(
+        model,
+        vehicle=single_vehicle(model.vehicle),
+        inertia_inverse=share_row(model.inertia_inverse[0], 1),
+        other_position=share_row(model.other_position[0], 1),
+        effects=effects,
+    )
+
+
+def single_vehicle(vehicle: Vehicle) -> Vehicle:
+    """Return the first vehicle alone."""
+    return vehicle.map_rows(lambda rows: share_row(rows[0], 1))
+
+
+def _repeated_vehicle(vehicle: Vehicle, each: int) -> Vehicle:
+    return vehicle.map_rows(lambda rows: _repeated_rows(rows, each))
+
+
+def _repeated_rows(rows: Tensor, each: int) -> Tensor:
+    return share_row(rows[0], len(rows) * each) if is_shared(rows) else rows.repeat_interleave(each, 0)
+
+
+def _follow(allocation: Allocation | None, vehicle: Vehicle) -> None:
+    """Give an allocation that knows each environment's own vehicle that vehicle."""
+    if allocation is None or allocation.effectiveness != "actual":
+        return
+    own = vehicle.map_rows(own_rows)
+    allocation.follow(own)
+    for name, rows in allocation.rows_for(own).items():
+        allocation.rows[name].copy_(rows)
+
+
+def _body(rows: Tensor) -> BodyState:
+    position, turn, lin_vel, ang_vel, rotors = rows.split((3, 3, 3, 3, rows.shape[1] - BODY), dim=-1)
+    return BodyState(position=position, attitude=quat_exp(turn), lin_vel=lin_vel, ang_vel=ang_vel, rotor_speed=rotors)
+
+
+def _slopes(function: Callable[[Tensor], Tensor], points: Tensor, size: Tensor) -> Tensor:
+    """Return the derivatives (B, M, K) of a function of rows at points (B, K), by central differences of ``NUDGE`` sizes."""
+    count, width = points.shape
+    nudges = NUDGE * torch.diag_embed(size)
+    ends = function((points.unsqueeze(1) + torch.cat((nudges, -nudges), dim=1)).flatten(0, 1)).view(
+        count, 2 * width, -1
+    )
+    return ((ends[:, :width] - ends[:, width:]) / (2.0 * NUDGE * size.unsqueeze(-1))).mT

@@ -1,0 +1,160 @@
+"""What is said of a robot under a controller before it flies: refused, warned of, or nothing.
+
+Refused is a loop that does not come back to hover from disturbances: an unstable one, or one whose gain margin is so little
+that limits of the rotors make it so. Warned of is an unstable loop that comes back all the same, as from limit cycles; and a
+stable one that effects of the robot file push farther than ``HOVER_RANGE`` from its setpoint.
+"""
+
+import logging
+from math import log
+
+from aerial_gym.config.controller import ControllerCfg
+from aerial_gym.config.randomize import Randomize, RandomizeCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.control.gains import GAINS, explicit_gains_of, has_explicit_gains
+from aerial_gym.control.hover import DISTURBANCE, HOVER_RANGE, HOVER_SPAN
+from aerial_gym.control.laws import LAWS
+from aerial_gym.control.stability import TURNS, ClosedLoop, Hover, stable
+from aerial_gym.errors import ConfigError
+
+_log = logging.getLogger(__name__)
+
+REMEDY = (
+    "Take a controller that integrates the error (px4_position_control, px4_velocity_control, crazyflie_lee_control), or raise "
+    "position_frequency (control:). If only mass, centre of mass or rotors differ, set effectiveness: actual (control:)"
+)
+"""Of a constant force that a law does not know of."""
+
+
+def check_closed_loop(
+    robot: RobotCfg,
+    controller: ControllerCfg,
+    *,
+    gravity: float,
+    dt: float,
+    integrator: str,
+    names: tuple[str, str],
+    randomize: Randomize | None = None,
+) -> None:
+    """Refuse a robot that does not hover under its controller at this time step, and warn where it hovers badly.
+
+    So it is with derived gains, with those of a robot file, and with those that the name of a controller means. Someone's
+    result may be worth reproducing as it is: with ``ControllerCfg.if_unstable`` there is a warning instead.
+
+    Args:
+        robot: What flies, with its effects.
+        controller: Law and gains.
+        gravity: Downward acceleration of free fall [m/s²].
+        dt: Time step [s].
+        integrator: Name of the stepper.
+        names: Of robot and controller, for people.
+        randomize: What is drawn, by name; the ends of its gains must come to rest as well.
+
+    Raises:
+        ConfigError: If the vehicle cannot hover, or the loop is refused.
+    """
+    if controller.law not in LAWS:
+        return
+    loop = ClosedLoop(
+        robot, controller, gravity=gravity, integrator=integrator, names=names, drawn=drawn_gains(randomize or {})
+    )
+    who = f"robot {names[0]} with controller {names[1]}"
+    if vain := _held_in_vain(loop.idle, controller, robot):
+        refuse(
+            controller,
+            f"{who}: the explicit gains hold {vain}, about which its rotors have no "
+            f"torque, and an error that stays there hides the others. Give attitude gains of 0 about {vain}, or leave them out",
+        )
+    who, hover = f"{who} at dt = {dt:g} s", loop.hover(dt)
+    if hover.lost or not hover.stable:
+        fault = f"{who} {instability(hover, dt)}, with {_gains_of(controller, robot)}. {_remedy(loop, controller, robot, dt)}"
+        if hover.lost:
+            refuse(controller, fault)
+        else:
+            _log.warning(
+                f"{fault}. Flown for {HOVER_SPAN:g} s from disturbances it comes back within {hover.flown:.2g} m"
+            )
+    elif not loop.is_stable(dt):
+        ends = ", ".join(f"gains.{name}" for name in loop.drawn)
+        growth, span = max(loop.radii(dt)), _largest_dt(loop, dt)
+        refuse(
+            controller,
+            f"{who} is unstable with gains at the ends of what is drawn of {ends}: a disturbance grows by a factor of "
+            f"{growth:.3g} in each step. {span}Narrow these ranges (randomize:)",
+        )
+    elif not hover.holds:
+        effects = ", ".join(robot.effects) or "none"
+        _log.warning(f"{who} {hover_error(hover)}, as its law does not know of its effects ({effects}). {REMEDY}")
+    elif _log.isEnabledFor(logging.INFO) and not loop.is_firm(dt):
+        _log.info(f"{who} has a gain margin of less than 6 dB. {_remedy(loop, controller, robot, dt)}")
+
+
+def hover_error(hover: Hover) -> str:
+    """Return how far a vehicle is from where it was told to hover, as the end of a sentence about it."""
+    speed, away = (max(map(abs, part)) for part in (hover.drift, hover.offset))
+    if speed * HOVER_SPAN > HOVER_RANGE:
+        return f"drifts at {_vector(hover.drift)} m/s"
+    if away > HOVER_RANGE:
+        return f"rests {_vector(hover.offset)} m from its setpoint"
+    return (
+        f"is up to {hover.distance:.2g} m from its setpoint in the first {HOVER_SPAN:g} s, until its integrators settle"
+    )
+
+
+def _vector(numbers: tuple[float, float, float]) -> str:
+    return "(" + ", ".join(f"{number:+.2g}" if abs(number) > 1e-3 else "0" for number in numbers) + ")"
+
+
+def refuse(controller: ControllerCfg, message: str) -> None:
+    """Raise ``ConfigError`` with a message, or warn where ``ControllerCfg.if_unstable`` says so."""
+    if controller.if_unstable == "refuse":
+        raise ConfigError(message)
+    _log.warning(message)
+
+
+def instability(hover: Hover, dt: float) -> str:
+    """Return what is wrong with an unstable loop at a time step [s], as the end of a sentence about it."""
+    if hover.stable:
+        return f"is nearly unstable: from starts with {DISTURBANCE[2]:g} m/s and {DISTURBANCE[3]:g} rad/s it does not come back"
+    if stable([hover.growth]):
+        return "comes to no rest: its law asks for more thrust or tilt than there is"
+    span = dt * log(10.0) / log(hover.growth)
+    return f"is unstable: a disturbance at hover grows by a factor of {hover.growth:.6g} in each step, tenfold in {span:.2g} s"
+
+
+def _held_in_vain(idle: list[str], controller: ControllerCfg, robot: RobotCfg) -> str:
+    """Return about which axes explicit gains would hold a vehicle whose rotors cannot; empty if there are none."""
+    explicit = None if controller.autopilot else explicit_gains_of(controller, robot.control)
+    return "" if explicit is None else " and ".join(name for name in idle if explicit.attitude[TURNS.index(name)] > 0.0)
+
+
+def _gains_of(controller: ControllerCfg, robot: RobotCfg) -> str:
+    explicit = has_explicit_gains(controller, robot.control)
+    return "the explicit gains given" if explicit else "its frequencies and damping"
+
+
+def _remedy(loop: ClosedLoop, controller: ControllerCfg, robot: RobotCfg, dt: float) -> str:
+    """Return the largest time step that helps, and what else does, as sentences."""
+    late = "shorten the dead time (effects: actuation_delay), " if loop.delay else ""
+    if not has_explicit_gains(controller, robot.control):
+        return f"{_largest_dt(loop, dt)}To fly it, {late}lower the frequencies (control:)"
+    return (
+        f"{_largest_dt(loop, dt)}To fly it, {late}lower them, or leave them out to have them derived (lee_*, pid_*); "
+        'dataclasses.replace(controller, if_unstable="warn") flies them as they are'
+    )
+
+
+def _largest_dt(loop: ClosedLoop, dt: float) -> str:
+    """Return a sentence about the largest time step; none for a controller whose rates ask for certain ones."""
+    try:
+        best = loop.largest_firm_dt(dt)
+    except ConfigError:
+        return ""
+    if best is None:
+        return "No dt has a gain margin of 6 dB. "
+    return f"The largest dt with a gain margin of 6 dB is {best:.3g} s. "
+
+
+def drawn_gains(randomize: Randomize) -> dict[str, RandomizeCfg]:
+    """Return what is drawn of gains, by their own names."""
+    return {name: randomize[f"gains.{name}"] for name in GAINS if f"gains.{name}" in randomize}

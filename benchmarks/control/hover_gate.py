@@ -1,0 +1,309 @@
+"""Does the check of a robot under its controller agree with flights? Random robots, laws, effects and dead times.
+
+    python -m benchmarks.control.hover_gate [--seed 0] [--num-groups 25] [--json out.jsonl]
+
+A group is a registered robot whose mass and rotor lag are drawn, a registered law that holds a place or a velocity, a time
+step, and an effect or none. Each of its ``EACH`` vehicles draws a dead time of 0 to 50 ms and the parameters of the effect.
+Accepted is a vehicle of which ``ClosedLoop.hover`` says that it holds. It hovers if it stays within 0.1 m for 10 s when it
+begins at hover, and is there again after 10 s when it begins with a disturbance; a law that holds a velocity is to stay there
+in the last second. Flights are in float32, on the backend that a simulation takes. Combinations that are refused by name, as a
+law does not fit the rotors, are drawn again.
+Letters: E environments.
+"""
+
+import json
+import random
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import torch
+import tyro
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.control import CONTROLLERS, make_controller
+from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.hover import HOVER_RANGE, HOVER_SPAN
+from aerial_gym.control.laws import LAWS
+from aerial_gym.control.stability import FAR, HEIGHT, ClosedLoop, Hover
+from aerial_gym.errors import ConfigError
+from aerial_gym.math.quaternion import quat_exp
+from aerial_gym.physics import BodyState, build_model, vehicle_from_config
+from aerial_gym.physics.backend import PhysicsBackend
+from aerial_gym.physics.capabilities import choose_backend, needs_of
+from aerial_gym.physics.effects import EFFECTS, EffectParams
+from aerial_gym.physics.model import check_effects, robot_effects
+from aerial_gym.robots import ROBOTS
+from benchmarks.control.control_flights import different_robots
+
+GRAVITY = 9.81
+EACH = 8
+"""Vehicles of a group."""
+
+DTS = (0.01, 0.01, 0.01, 0.004)
+"""Time steps [s] that are drawn from; registered sims have these."""
+
+LONGEST = 0.05
+"""Dead time [s]."""
+
+FACTORS = (0.7, 1.4)
+"""Range of the factors on mass and rotor lag of a registered robot."""
+
+SIZES = (0.0, 0.01, 0.1, 0.2)
+"""Disturbances of the flights of each vehicle [m, rad, m/s, rad/s], each component drawn up to them."""
+
+LAST = 50
+"""Looks at the end of a flight: a second."""
+
+LOOK = 0.02
+"""Time between two looks at a flight [s]."""
+
+DRAWN_EFFECTS = (
+    None,
+    None,
+    None,
+    "motor_time_constant",
+    "motor_asymmetry",
+    "payload_mass",
+    "thrust_coefficient",
+    "com_offset",
+    "weak_motor",
+    "torque_ratio",
+    "inertia_error",
+    "motor_tilt",
+    "rotor_inertia",
+    "rotor_drag",
+    "h_force_flapping",
+    "axial_inflow",
+    "buoyancy",
+    "slung_payload",
+    "battery_sag",
+)
+"""Effects that act at hover, with parameters about the neutral ones by a normal draw of their scale; None for none."""
+
+Effects = Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Group:
+    """Vehicles that differ in the parameters of their effects alone."""
+
+    robot: str
+    controller: str
+    dt: float
+    cfg: RobotCfg
+    effects: tuple[Effects, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """What the check and the flights say of a vehicle."""
+
+    robot: str
+    controller: str
+    dt: float
+    effects: Effects
+    accepted: bool
+    """Whether it is to hover."""
+
+    refused: bool
+    """Whether a simulation of it is refused; else it is warned of unless it is accepted."""
+
+    hover: Hover
+    """What is said of it."""
+
+    flown: float
+    """Largest distance of the flights [m]."""
+
+    @property
+    def hovers(self) -> bool:
+        """Whether it does."""
+        return self.flown <= HOVER_RANGE
+
+
+def groups(seed: int) -> Iterator[Group]:
+    """Yield random groups without end; some do not fit together."""
+    draw = random.Random(seed)
+    robots = [name for name, robot in different_robots().items() if robot.control.buoyancy == 0.0]
+    laws = [name for name in CONTROLLERS if "vx" in _trim(name)]
+    while True:
+        robot, controller = draw.choice(robots), draw.choice(laws)
+        dt, effect = draw.choice(DTS), draw.choice(DRAWN_EFFECTS)
+        mass, lag = draw.uniform(*FACTORS), draw.uniform(*FACTORS)
+        cfg = _scaled(ROBOTS.get(robot), mass=mass, lag=lag)
+        drawn = tuple(_drawn_effects(draw, cfg, effect) for _ in range(EACH))
+        yield Group(robot=robot, controller=controller, dt=dt, cfg=cfg, effects=drawn)
+
+
+def _trim(controller: str) -> list[str]:
+    law = CONTROLLERS.get(controller).law
+    return LAWS[law].trim.split() if law in LAWS else []
+
+
+def _scaled(robot: RobotCfg, *, mass: float, lag: float) -> RobotCfg:
+    """Return a robot with factors on mass and inertia, and on the rotor lag of robots with one rotor type."""
+    inertia = tuple(tuple(mass * moment for moment in row) for row in robot.body.inertia)
+    robot = replace(robot, body=replace(robot.body, mass=mass * robot.body.mass, inertia=inertia))  # type: ignore[arg-type]
+    if robot.rotor is None:
+        return robot
+    up, down = lag * robot.rotor.time_constant_up, lag * robot.rotor.time_constant_down
+    return replace(robot, rotor=replace(robot.rotor, time_constant_up=up, time_constant_down=down))
+
+
+def _drawn_effects(draw: random.Random, robot: RobotCfg, name: str | None) -> Effects:
+    found: dict[str, Mapping[str, float]] = {"actuation_delay": {"delay": draw.uniform(0.0, LONGEST)}}
+    if name is None:
+        return found
+    effect, values = EFFECTS.get(name), {}
+    for parameter, neutral, (low, high) in zip(
+        effect.parameters, effect.neutral(robot), effect.bounds(robot), strict=True
+    ):
+        value = neutral + draw.gauss(0.0, 1.0) * parameter.scale
+        values[parameter.name] = min(max(value, low), high)
+        if parameter.kind == "rotor":
+            values[parameter.name] = float(draw.randint(1, robot.num_rotors))
+    return found | {name: values}
+
+
+def judged(group: Group) -> list[Case] | None:
+    """Return what check and flights say of the vehicles of a group; None of one that does not fit together."""
+    hovers = []
+    try:
+        for effects in group.effects:
+            loop = ClosedLoop(
+                _with_effects(group.cfg, effects),
+                CONTROLLERS.get(group.controller),
+                gravity=GRAVITY,
+                integrator="euler",
+                names=(group.robot, group.controller),
+            )
+            hovers.append(loop.hover(group.dt))
+    except ConfigError:
+        return None
+    flown = flights(group)
+    return [
+        Case(
+            robot=group.robot, controller=group.controller, dt=group.dt, effects=effects,
+            accepted=hover.holds, refused=hover.lost, hover=hover, flown=distance,
+        )
+        for effects, hover, distance in zip(group.effects, hovers, flown, strict=True)
+    ]  # fmt: skip
+
+
+def _with_effects(robot: RobotCfg, effects: Effects) -> RobotCfg:
+    robot = replace(robot, effects={**robot.effects, **effects}, effects_source="benchmarks.control.hover_gate")
+    check_effects(robot)
+    return robot
+
+
+def flights(group: Group) -> list[float]:
+    """Return the largest distance from the setpoint of each vehicle of a group [m], over its flights."""
+    robot, controller = _with_effects(group.cfg, group.effects[0]), CONTROLLERS.get(group.controller)
+    rows = EACH * len(SIZES)
+    vehicle = vehicle_from_config(robot, num_envs=rows)
+    law = make_controller(controller, vehicle, GRAVITY, dt=group.dt, control=robot.control)
+    backend = choose_backend("auto", needs=needs_of(robot, torch.device("cpu"), integrator="euler"))
+    model = build_model(vehicle, _params_of(robot, group), gravity=GRAVITY, ground_height=-FAR, ceiling_height=FAR)
+    backend.allocate(model, law, integrator="euler")
+    backend.prepare(group.dt)
+    state = _starts(Allocation(vehicle, GRAVITY), robot)
+    action = torch.zeros(rows, len(law.action_names))
+    if "z" in _trim(group.controller):
+        action[:, 2] = HEIGHT
+    return _largest_distance(backend, state, action, group.dt, returns="x" in _trim(group.controller))
+
+
+def _largest_distance(
+    backend: PhysicsBackend, state: BodyState, action: Tensor, dt: float, *, returns: bool
+) -> list[float]:
+    """Return the largest distance from hover [m] of each vehicle in its flights, in the whole of the first one of each."""
+    rows, steps, places = len(action), max(1, round(LOOK / dt)), []
+    for _ in range(round(HOVER_SPAN / (steps * dt))):
+        backend.step(state, action, dt, steps)
+        places.append(state.position.clone())
+    flown = torch.stack(places).nan_to_num(nan=1e9)
+    setpoint = torch.tensor([0.0, 0.0, HEIGHT]).expand(rows, 3)
+    undisturbed = (flown - setpoint).norm(dim=-1).amax(0)
+    later = (flown[-LAST:] - (setpoint if returns else flown[-LAST])).norm(dim=-1).amax(0)
+    first = torch.arange(rows) % len(SIZES) == 0
+    return torch.where(first, undisturbed, later).view(EACH, -1).amax(-1).tolist()
+
+
+def _params_of(robot: RobotCfg, group: Group) -> list[EffectParams]:
+    """Return the effects with the parameters of each vehicle in as many rows as it has flights."""
+    rows = EACH * len(SIZES)
+    found = []
+    for effect, params in robot_effects(
+        robot, num_envs=rows, device=torch.device("cpu"), dtype=torch.float32, rigid=True
+    ):
+        if effect.name in group.effects[0]:
+            values = [effect.params_from(effects[effect.name]) for effects in group.effects]
+            params = torch.tensor(values).repeat_interleave(len(SIZES), 0)
+        found.append((effect, params))
+    return found
+
+
+def _starts(allocation: Allocation, robot: RobotCfg) -> BodyState:
+    """Return hover of the declared robot, disturbed by ``SIZES``, for each vehicle alike but for the draw."""
+    rows, generator = EACH * len(SIZES), torch.Generator().manual_seed(0)
+    size = torch.tensor(SIZES).repeat(EACH).unsqueeze(-1)
+    weight = torch.zeros(rows, 6)
+    weight[:, 2] = robot.body.mass * GRAVITY
+
+    def drawn() -> Tensor:
+        return size * (2.0 * torch.rand(rows, 3, generator=generator) - 1.0)
+
+    return BodyState(
+        position=drawn() + torch.tensor([0.0, 0.0, HEIGHT]),
+        attitude=quat_exp(drawn()),
+        lin_vel=drawn(),
+        ang_vel=drawn(),
+        rotor_speed=allocation.speed_for_wrench(weight),
+    )
+
+
+def cases(seed: int, count: int) -> Iterator[Case]:
+    """Yield the cases of so many groups that fit together."""
+    found = 0
+    for group in groups(seed):
+        if found == count:
+            return
+        if (of_group := judged(group)) is not None:
+            found += 1
+            yield from of_group
+
+
+@dataclass(frozen=True, kw_only=True)
+class GateCmd:
+    """Compare the check with flights."""
+
+    seed: int = 0
+    """Of everything that is drawn."""
+
+    num_groups: int = 25
+    """Of eight vehicles."""
+
+    json: Path | None = None
+    """Where each case is written as a line of JSON."""
+
+    def run(self) -> None:
+        """Print the agreement in both directions, and the cases that disagree."""
+        found = []
+        for case in cases(self.seed, self.num_groups):
+            found.append(case)
+            if self.json is not None:
+                with self.json.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(asdict(case)) + "\n")
+        for accepted in (True, False):
+            those = [case for case in found if case.accepted is accepted]
+            agree = sum(case.hovers is accepted for case in those)
+            words = ("accepted", "hover") if accepted else ("not accepted", "do not hover")
+            print(f"{len(those)} {words[0]}, of these {agree} {words[1]}: {100.0 * agree / max(len(those), 1):.1f} %")
+        for case in found:
+            if case.accepted is not case.hovers:
+                print(case)
+
+
+if __name__ == "__main__":
+    tyro.cli(GateCmd).run()

@@ -1,0 +1,138 @@
+"""The linearised loop with dead time, lags and effects: eigenvalues and rests against closed forms."""
+
+from dataclasses import replace
+from math import exp
+
+import numpy as np
+import pytest
+import torch
+
+from aerial_gym.config.controller import ControlCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.control import CONTROLLERS, LeeController, make_controller
+from aerial_gym.control.hover import HOVER_SPAN
+from aerial_gym.control.stability import ClosedLoop
+from aerial_gym.physics import vehicle_from_config
+from aerial_gym.robots import ROBOTS
+
+GRAVITY, DT, TAU = 9.81, 0.01, 0.04
+QUAD = ROBOTS.get("base_quadrotor")
+RATES, POSITION = CONTROLLERS.get("lee_rates_control"), CONTROLLERS.get("lee_position_control")
+FREQUENCY = 6.0
+TUNED = replace(
+    QUAD, control=ControlCfg(attitude_frequency=(FREQUENCY, FREQUENCY, 1.0), attitude_damping=(1.0, 1.0, 1.0))
+)
+
+
+def with_effects(robot: RobotCfg, **effects: dict[str, float]) -> RobotCfg:
+    return replace(robot, effects=effects, effects_source="test")
+
+
+def loop_of(robot: RobotCfg, controller: str = "lee_position_control") -> ClosedLoop:
+    cfg = CONTROLLERS.get(controller)
+    return ClosedLoop(robot, cfg, gravity=GRAVITY, integrator="euler", names=("robot", controller))
+
+
+def position_gain(robot: RobotCfg) -> float:
+    vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
+    law = make_controller(POSITION, vehicle, GRAVITY, dt=DT, control=robot.control)
+    assert isinstance(law, LeeController)
+    return float(law.gains.position[0, 2])
+
+
+def late_rate_radius(gain: float, steps: float) -> float:
+    """Return the spectral radius of ``n' = d n + a u_w + b u_(w+1)``, ``p' = p + dt n'``, ``u = -K p`` with a late u."""
+    whole, part = int(steps), steps - int(steps)
+    early, rest = exp(-part * DT / TAU), exp(-(1.0 - part) * DT / TAU)
+    matrix = np.zeros((whole + 3, whole + 3))
+    slopes = np.zeros(whole + 3)  # of n' per p, n and commands on their way, newest first
+    slopes[1] = early * rest
+    for age, weight in ((whole, 1.0 - rest), (whole + 1, (1.0 - early) * rest)):
+        if age == 0:
+            slopes[0] -= weight * gain
+        else:
+            slopes[1 + age] += weight
+    matrix[1], matrix[0] = slopes, DT * slopes
+    matrix[0, 0] += 1.0
+    matrix[2, 0] = -gain
+    for age in range(1, whole + 1):
+        matrix[2 + age, 1 + age] = 1.0
+    return float(abs(np.linalg.eigvals(matrix)).max())
+
+
+@pytest.mark.parametrize("steps", [0.0, 0.3, 1.0, 2.0, 3.6, 9.25])
+def test_the_radius_of_a_late_rate_loop_is_that_of_its_delay_states(steps: float) -> None:
+    late = with_effects(TUNED, actuation_delay={"delay": steps * DT})
+    expected = max(late_rate_radius(2.0 * FREQUENCY, steps), late_rate_radius(2.0, steps))
+    assert loop_of(late, "lee_rates_control").radius(DT) == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_lag_that_differs_up_and_down_counts_as_the_mean_of_its_decays() -> None:
+    """``n' = d n + (1 - d) u`` with ``d = (exp(-dt / 0.02) + exp(-dt / 0.08)) / 2``: half of a swing is up, half is down."""
+    rotor = replace(QUAD.the_rotor("a test"), time_constant_up=0.02, time_constant_down=0.08)
+    robot = replace(TUNED, rotor=rotor)
+    decay = 0.5 * (exp(-DT / 0.02) + exp(-DT / 0.08))
+
+    def radius(gain: float) -> float:
+        matrix = [[decay, -(1.0 - decay) * gain], [decay * DT, 1.0 - DT * (1.0 - decay) * gain]]
+        return float(abs(np.linalg.eigvals(matrix)).max())
+
+    expected = max(radius(2.0 * FREQUENCY), radius(2.0))
+    assert loop_of(robot, "lee_rates_control").radius(DT) == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.3])
+def test_a_law_without_an_integrator_rests_beside_its_setpoint(factor: float) -> None:
+    """``s m (g + k e) = m g`` of thrust that is s times the declared: ``e = g (1 / s - 1) / k`` below the setpoint."""
+    rest = loop_of(with_effects(QUAD, thrust_coefficient={"scale": factor})).rest(DT)
+    expected = -GRAVITY * (1.0 / factor - 1.0) / position_gain(QUAD)
+    assert rest.found.all()
+    assert rest.offset[0].tolist() == pytest.approx([0.0, 0.0, expected], abs=1e-6)
+
+
+def test_a_law_that_knows_the_actual_thrust_rests_at_its_setpoint() -> None:
+    robot = replace(QUAD, control=replace(QUAD.control, effectiveness="actual"))
+    loop = loop_of(with_effects(robot, thrust_coefficient={"scale": 0.8}))
+    assert loop.rest(DT).offset[0].tolist() == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+    assert loop.hover(DT).holds
+
+
+def test_a_payload_lowers_the_rest() -> None:
+    """``m (g + k e) = (m + M) g``: ``e = M g / (m k)`` below."""
+    rest = loop_of(with_effects(QUAD, payload_mass={"dm": 0.02})).rest(DT)
+    expected = -0.02 * GRAVITY / (QUAD.body.mass * position_gain(QUAD))
+    assert float(rest.offset[0, 2]) == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_velocity_law_drifts() -> None:
+    """``s m (g - k v) = m g`` of a gain k on the velocity: ``v = g (1 - 1 / s) / k`` upwards, and so far in 10 s."""
+    robot = with_effects(QUAD, thrust_coefficient={"scale": 1.01})
+    vehicle = vehicle_from_config(QUAD, num_envs=1, dtype=torch.float64)
+    law = make_controller(CONTROLLERS.get("lee_velocity_control"), vehicle, GRAVITY, dt=DT, control=QUAD.control)
+    assert isinstance(law, LeeController)
+    expected = GRAVITY * (1.0 - 1.0 / 1.01) / float(law.gains.velocity[0, 2])
+    hover = loop_of(robot, "lee_velocity_control").hover(DT)
+    assert hover.drift == pytest.approx((0.0, 0.0, expected), abs=1e-6)
+    assert 0.8 * expected * HOVER_SPAN < hover.distance < expected * HOVER_SPAN
+
+
+def test_an_integrator_brings_the_rest_to_the_setpoint() -> None:
+    rest = loop_of(with_effects(QUAD, thrust_coefficient={"scale": 0.9}), "px4_position_control").rest(DT)
+    assert rest.found.all()
+    assert rest.offset[0].tolist() == pytest.approx([0.0, 0.0, 0.0], abs=1e-4)
+
+
+def test_more_thrust_than_there_is_has_no_rest() -> None:
+    """A thrust of 0.3 of the declared lifts 0.98 of the weight at most, as that is 3.26 of it."""
+    hover = loop_of(with_effects(QUAD, thrust_coefficient={"scale": 0.3})).hover(DT)
+    assert (hover.stable, hover.lost) == (False, True)
+
+
+def test_random_wind_and_later_failures_are_left_out_and_failures_from_the_start_are_not() -> None:
+    calm = loop_of(QUAD).radius(DT)
+    gusts = with_effects(QUAD, gusts={"std": 3.0, "corr_time": 1.0}, rotor_drag={"dx": 0.0, "dy": 0.0, "dz": 0.0})
+    later = with_effects(QUAD, motor_failure={"motor": 1.0, "scale": 0.9, "time": 5.0})
+    for robot in (gusts, later):
+        assert loop_of(robot).radius(DT) == pytest.approx(calm, abs=1e-9)
+    failed = with_effects(QUAD, motor_failure={"motor": 1.0, "scale": 0.98, "time": 0.0})
+    assert float(loop_of(failed).rest(DT).offset[0].norm()) > 0.01
