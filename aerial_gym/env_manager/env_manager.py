@@ -31,6 +31,7 @@ from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
 from aerial_gym.registry.state import below, check_state, identity, restore, saved
 from aerial_gym.robots import ROBOTS, RobotManager, Surroundings
 from aerial_gym.robots.differentiable import DifferentiableBackend
+from aerial_gym.robots.drawn_ranges import report_drawn_ranges
 from aerial_gym.robots.joints.links import LinkPlaces, declare_links
 from aerial_gym.sensors import ImuSet, SensorManager, mounted_sensors
 
@@ -106,15 +107,16 @@ class EnvManager:
         random = {**robot.randomize, **env.randomize, **(randomize or {})}
         places = {name: each for name, each in random.items() if name.startswith("sensors.")}
         names = (_name_in(ROBOTS, robot), _name_in(CONTROLLERS, controller))
-        check_closed_loop(
-            robot,
-            controller,
-            gravity=sim.gravity,
-            dt=sim.dt,
-            integrator=sim.integrator,
-            names=names,
-            randomize=random,
-        )
+        for check in (check_closed_loop, report_drawn_ranges):
+            check(
+                robot,
+                controller,
+                gravity=sim.gravity,
+                dt=sim.dt,
+                integrator=sim.integrator,
+                names=names,
+                randomize=random,
+            )
         check_starts(robot, controller, gravity=sim.gravity, dt=sim.dt, names=names)
         scene = self.asset_manager.scene
         trajectory = recorded(env, robot, num_envs=num_envs, device=device, differentiable=differentiable)
