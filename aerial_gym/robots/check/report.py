@@ -210,6 +210,8 @@ def _step_warnings(steps: Sequence[StableStep]) -> Iterator[str]:
     for step in steps:
         if step.refused is None and step.largest_s is None:
             yield f"{step.controller} does not bring it to rest at any time step: give other gains (control:)"
+        elif step.little_margin:
+            yield f"{step.controller} has less than 6 dB of gain margin at every time step: lower its frequencies (control:)"
 
 
 def _rigid_warnings(robot: RobotCfg) -> Iterator[str]:
