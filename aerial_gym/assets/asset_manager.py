@@ -20,7 +20,7 @@ from aerial_gym.assets.views import check_tensor
 from aerial_gym.config.environment import FIRST_INSTANCE_ID, EnvironmentCfg, PartCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError, ShapeError
-from aerial_gym.interop import with_usual_settings
+from aerial_gym.interop import plain_device, with_usual_settings
 from aerial_gym.math.random import Randomness, take_mask
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 
@@ -69,7 +69,7 @@ class AssetManager:
             ShapeError: If a tensor does not fit.
         """
         self.cfg, self.num_assets = cfg, cfg.num_assets
-        self._num_envs, self._device = num_envs, torch.device(device)
+        self._num_envs, self._device = num_envs, plain_device(device)
         for name, corner in (("bounds_min", bounds_min), ("bounds_max", bounds_max)):
             check_tensor(name, corner, (num_envs, 3), device=self._device)
         self._assets = with_shapes(cfg.assets)

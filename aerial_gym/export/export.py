@@ -20,6 +20,7 @@ from aerial_gym.export.formats import onnx_bytes, torchscript_bytes
 from aerial_gym.export.layout import Layout, SeenImage, layout_of
 from aerial_gym.export.module import FlownPolicy
 from aerial_gym.export.pilot import load_exported
+from aerial_gym.interop import usual_settings
 from aerial_gym.rl_training.policies.load import check_fits, load_policy
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.sensors.encoder.file import load_encoder
@@ -61,6 +62,7 @@ class Exported:
         return None if self.agreement is None else self.agreement.holds
 
 
+@usual_settings
 def export_policy(
     source: str | Path,
     out: str | Path,

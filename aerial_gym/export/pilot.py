@@ -19,6 +19,7 @@ from torch import Tensor
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.export.c99_images import PIXELS
 from aerial_gym.export.layout import Layout
+from aerial_gym.interop import usual_settings
 
 Step = Callable[..., tuple[Tensor, Tensor, Tensor]]
 """Observation (E, O), memory (E, M) and images (E, C, H, W) to command (E, U), action (E, V) and the memory after it, on the
@@ -66,6 +67,7 @@ class ExportedPilot:
             self._memory = self._memory.masked_fill(mask.cpu().unsqueeze(-1), 0.0)
 
 
+@usual_settings
 def load_exported(file: str | Path) -> ExportedPilot:
     """Return the pilot of an exported file: ``.onnx``, ``.pt`` or ``.c``; ``policy.json`` stands beside it.
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from aerial_gym.lazy import exports
 
 if TYPE_CHECKING:
-    from aerial_gym.interop.devices import resolve_device
+    from aerial_gym.interop.devices import plain_device, resolve_device
     from aerial_gym.interop.launches import RecordedLaunch, compile_ahead, wait_for
     from aerial_gym.interop.settings import usual_settings, with_usual_settings
     from aerial_gym.interop.streams import on_device, on_torch_stream, recorded, start_warp
@@ -18,6 +18,7 @@ __all__ = [
     "on_device",
     "on_torch_stream",
     "one_thread",
+    "plain_device",
     "recorded",
     "resolve_device",
     "split",

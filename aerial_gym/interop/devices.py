@@ -26,4 +26,10 @@ def resolve_device(name: str | torch.device) -> torch.device:
         if index >= count:
             raise ConfigError(f"device {str(name)!r}: this machine shows {count} CUDA devices. Use device='cpu'.")
         return torch.device("cuda", index)
-    return torch.device(device.type) if device.type == "cpu" else device  # cpu:0 is cpu
+    return plain_device(device)
+
+
+def plain_device(name: str | torch.device) -> torch.device:
+    """Return the torch device of a name as tensors report it: ``cpu:0`` is ``cpu``."""
+    device = torch.device(name)
+    return torch.device("cpu") if device.type == "cpu" else device

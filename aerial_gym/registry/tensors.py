@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.errors import DuplicateNameError, OwnershipError, ShapeError, UnknownNameError
+from aerial_gym.interop import plain_device
 from aerial_gym.registry.guarded import GuardedTensor
 
 
@@ -48,7 +49,7 @@ class GlobalTensorDictionary(Mapping[str, Tensor]):
     """Read-only mapping from declared keys to tensors of fixed address; ``print`` shows the schema."""
 
     def __init__(self, *, device: str | torch.device, sizes: Mapping[str, int]) -> None:
-        self.device = torch.device(device)
+        self.device = plain_device(device)
         self._sizes = dict(sizes)
         self._specs: dict[str, TensorSpec] = {}
         self._tensors: dict[str, Tensor] = {}

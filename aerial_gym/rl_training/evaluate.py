@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from aerial_gym.errors import ConfigError
+from aerial_gym.interop import usual_settings
 from aerial_gym.rl_training.policies.policy import Pilot
 from aerial_gym.task import Task
 from aerial_gym.task.step.judge import GATE_PASSED
@@ -76,6 +77,7 @@ class Evaluation:
 
 
 @torch.no_grad()
+@usual_settings
 def evaluate(
     policy: Pilot,
     task: Task,

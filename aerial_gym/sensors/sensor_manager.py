@@ -12,7 +12,7 @@ from aerial_gym.assets import Scene
 from aerial_gym.assets.views import check_tensor
 from aerial_gym.config.sensor import RangeSensorCfg, RosetteCfg
 from aerial_gym.errors import ConfigError, ShapeError
-from aerial_gym.interop import with_usual_settings
+from aerial_gym.interop import plain_device, with_usual_settings
 from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.registry.state import below
@@ -71,7 +71,7 @@ class SensorManager:
         """
         if num_envs != scene.num_envs:
             raise ShapeError(f"num_envs = {num_envs}: the scene has {scene.num_envs} environments")
-        self._num_envs, self._device, self._dt = num_envs, torch.device(device), dt
+        self._num_envs, self._device, self._dt = num_envs, plain_device(device), dt
         self.casters: dict[str, RayCaster] = {}
         self._clock: dict[str, Tensor] = {}
         self._delay: dict[str, DelayLine] = {}

@@ -27,7 +27,7 @@ from aerial_gym.config import dump_yaml, load
 from aerial_gym.config.range_sensor import RangeSensorCfg
 from aerial_gym.config.storage import told_storage, write_whole
 from aerial_gym.errors import ConfigError, TrainingError
-from aerial_gym.interop import resolve_device
+from aerial_gym.interop import resolve_device, usual_settings
 from aerial_gym.rl_training.encoder.figures import (
     Errors,
     active_latents,
@@ -110,6 +110,7 @@ class EncoderFolder:
         return load(EncoderTrainingCfg, self.config)
 
 
+@usual_settings
 def train_encoder(
     cfg: EncoderTrainingCfg, out: str | Path, *, resume: bool = False, tell: Told = lambda _, __: None
 ) -> EncoderResult:

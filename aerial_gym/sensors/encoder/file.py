@@ -16,6 +16,7 @@ from aerial_gym.config.loader import convert
 from aerial_gym.config.range_sensor import RangeSensorCfg
 from aerial_gym.config.storage import read_archive, write_archive
 from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.interop import usual_settings
 from aerial_gym.sensors.encoder.network import Autoencoder, AutoencoderCfg
 
 ENCODERS = CONFIG_DIR / "encoders"
@@ -129,6 +130,7 @@ def encoder_file(name: str | Path) -> Path:
     return own
 
 
+@usual_settings
 def load_encoder(name: str | Path, *, device: torch.device | str = "cpu") -> Encoder:
     """Return the encoder in a file, or one that comes with the package.
 

@@ -9,8 +9,16 @@ import torch
 from torch import Tensor
 
 from aerial_gym import SimBuilder, task_registry
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
+from aerial_gym.export import export_policy, load_exported
 from aerial_gym.interop import recorded, resolve_device, usual_settings
+from aerial_gym.registry import GlobalTensorDictionary
+from aerial_gym.rl_training import evaluate, load_policy, train
+from aerial_gym.rl_training.encoder.training import train_encoder
+from aerial_gym.sensors import Imu, RayCaster
+from aerial_gym.sensors.encoder.file import load_encoder
+from aerial_gym.task.task import Task
 
 
 @contextmanager
@@ -118,8 +126,16 @@ def test_tasks_are_the_same_under_all_settings(name: str) -> None:
         assert torch.equal(observed(task, 5), expected), setting
 
 
+def test_every_entry_point_takes_the_usual_settings() -> None:
+    """What wraps a function keeps it under ``__wrapped__``."""
+    functions = (train, train_encoder, evaluate, load_policy, load_encoder, export_policy, load_exported)
+    methods = (SimBuilder.build_env, EnvManager.step, Task.reset, Task.step, RayCaster.__init__, Imu.__init__)
+    assert all(hasattr(one, "__wrapped__") for one in (*functions, *methods))
+
+
 def test_names_of_devices(monkeypatch: pytest.MonkeyPatch) -> None:
     assert resolve_device("cpu:0") == torch.device("cpu")
+    assert GlobalTensorDictionary(sizes={}, device="cpu:0").device == torch.device("cpu")
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 4)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     assert resolve_device("auto") == torch.device("cuda", 0)
