@@ -19,8 +19,9 @@ from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, MotionCfg, P
 from aerial_gym.config.robot import CollisionCfg, SphereCfg
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS, EnvManager
-from aerial_gym.errors import ShapeError
+from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.physics import Trajectory
+from aerial_gym.physics.integrators import MassState
 from aerial_gym.robots import ROBOTS
 
 K, DT = 10, 0.01
@@ -302,3 +303,18 @@ def test_a_step_of_more_substeps_than_there_is_room_for_is_refused() -> None:
     record = Trajectory.zeros(3, 2, device=torch.device("cpu"))
     assert record.position.shape == (4, 2, 3)
     assert record.attitude.shape == (4, 2, 4)
+
+
+def test_a_record_whose_start_is_unknown_is_refused() -> None:
+    """A backend that does not call ``begin`` would leave the start of another step in row 0."""
+    env = build(crowd(MotionCfg()), 1, backend="torch")
+    state, record = env.robot_manager.tensors.state, Trajectory.zeros(2, 1, device=torch.device("cpu"))
+    before = MassState(**vars(state), load=torch.zeros(1, 6))
+    with pytest.raises(CapabilityError):
+        record.after_substep(0, before, state)
+    record.begin(state)
+    record.after_substep(0, before, state)
+    record.after_substep(1, before, state)
+    assert torch.equal(record.position, state.position.expand(3, 1, 3))
+    with pytest.raises(CapabilityError):
+        record.after_substep(0, before, state)
