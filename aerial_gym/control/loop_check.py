@@ -23,7 +23,10 @@ REMEDY = (
     "Take a controller that integrates the error (px4_position_control, px4_velocity_control, crazyflie_lee_control), or raise "
     "position_frequency (control:). If only mass, centre of mass or rotors differ, set effectiveness: actual (control:)"
 )
-"""Of a constant force that a law does not know of."""
+"""Of a constant force that a law without an integrator does not know of."""
+
+SLOW_REMEDY = "Give its integrators more gain, or let a task begin when they have settled"
+"""Of one that it integrates too slowly."""
 
 
 def check_closed_loop(
@@ -84,9 +87,16 @@ def check_closed_loop(
         )
     elif not hover.holds:
         effects = ", ".join(robot.effects) or "none"
-        _log.warning(f"{who} {hover_error(hover)}, as its law does not know of its effects ({effects}). {REMEDY}")
+        _log.warning(
+            f"{who} {hover_error(hover)}, as its law does not know of its effects ({effects}). {remedy(hover)}"
+        )
     elif _log.isEnabledFor(logging.INFO) and not loop.is_firm(dt):
         _log.info(f"{who} has a gain margin of less than 6 dB. {_remedy(loop, controller, robot, dt)}")
+
+
+def _return(hover: Hover) -> str:
+    """Return how an unstable vehicle ends a flight, as the end of a sentence about it."""
+    return "comes back to its setpoint" if hover.holds else f"comes back, but {hover_error(hover)}"
 
 
 def hover_error(hover: Hover) -> str:
@@ -110,6 +120,11 @@ def refuse(controller: ControllerCfg, message: str) -> None:
     if controller.if_unstable == "refuse":
         raise ConfigError(message)
     _log.warning(message)
+
+
+def remedy(hover: Hover) -> str:
+    """Return what helps a vehicle that hovers beside its setpoint."""
+    return SLOW_REMEDY if max(map(abs, (*hover.offset, *hover.drift))) < 0.01 else REMEDY
 
 
 def instability(hover: Hover, dt: float) -> str:

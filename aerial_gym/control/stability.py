@@ -23,7 +23,7 @@ from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.cascade import CascadeController
 from aerial_gym.control.controllers import LeeController, make_controller
 from aerial_gym.control.gains import apparent_gravity, ends_of
-from aerial_gym.control.hover import HOVER_RANGE, Rest, distances, find_rest, flown_distance
+from aerial_gym.control.hover import DISTURBANCE, HOVER_RANGE, HOVER_SPAN, Rest, distances, find_rest, flown_distance
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.linear_loop import AXES, BODY, SampledLoop
 from aerial_gym.errors import ConfigError
@@ -117,8 +117,8 @@ class Hover:
     """Velocity at rest [m/s], world: of laws that hold no place."""
 
     distance: float
-    """Largest distance from the setpoint [m] within ``HOVER_SPAN`` of a hover that begins there at rest, predicted; 0 of
-    unstable loops, and of laws that leave place and velocity to themselves."""
+    """Largest distance from the setpoint [m] within ``HOVER_SPAN`` of a hover that begins there at rest, predicted; that of the
+    rest of an unstable loop; 0 of laws that leave place and velocity to themselves."""
 
     flown: float | None
     """Distance from rest [m] at the end of flights from disturbances; None where they are not flown."""
@@ -252,33 +252,37 @@ class ClosedLoop:
         return self._modes_with(None, 1.0, dt).abs().amax(-1)
 
     def hover(self, dt: float) -> Hover:
-        """Return the hover of the first vehicle at a time step [s], flown where ``TIGHT_GAINS`` are too much for it."""
+        """Return the hover of the first vehicle at a time step [s], flown where limits of the rotors may decide."""
         found = self.hovers(dt)[0]
         tight = not (found.stable and stable([self._radius_with(None, gain, dt) for gain in TIGHT_GAINS]))
-        if not (tight and self.holds_place):
+        if not self.holds_place or not (tight or self._slews(dt)):
             return found
         loop, returns = self._sampled(dt, None), "x" in self.axes.split()
         flown = flown_distance(loop, self.rest(dt), self._action(), returns=returns, decays=found.stable)
         return replace(found, flown=flown)
 
+    def _slews(self, dt: float) -> bool:
+        """Return whether a disturbance asks the rotors for more than their slew rate: a change of the command over the lag."""
+        vehicle, size = self._model.vehicle, torch.tensor(DISTURBANCE, dtype=torch.float64).repeat_interleave(3)
+        if "slew" not in vehicle.traits:
+            return False
+        change = self.rest(dt).loop.steps[0].command[0, :, :BODY].abs() @ size
+        slowest = (vehicle.time_constant_up * vehicle.slew_rate).minimum(
+            vehicle.time_constant_down * vehicle.slew_rate_down
+        )
+        return bool((change > slowest[0]).any())
+
     def hovers(self, dt: float) -> list[Hover]:
         """Return the hover of each vehicle at a time step [s], without flights."""
         rest, growth = self.rest(dt), self.growth(dt)
-        rests = rest.found & (growth <= 1.0 + ROUND_OFF)
-        reached = self.distance(dt) if self.holds_place else torch.zeros_like(growth)
-        rows = zip(
-            rests.tolist(), growth.tolist(), rest.offset.tolist(), rest.drift.tolist(), reached.tolist(), strict=True
-        )
+        rests, way = rest.found & (growth <= 1.0 + ROUND_OFF), torch.zeros_like(growth)
+        if self.holds_place:
+            away = rest.offset.norm(dim=-1) + HOVER_SPAN * rest.drift.norm(dim=-1)
+            way = torch.where(rests, self.distance(dt), away)
+        rows = (rests, growth, rest.offset, rest.drift, way)
         return [
-            Hover(
-                stable=rested,
-                growth=factor,
-                offset=tuple(offset),
-                drift=tuple(drift),
-                distance=distance if rested else 0.0,
-                flown=None,
-            )
-            for rested, factor, offset, drift, distance in rows
+            Hover(stable=stays, growth=factor, offset=tuple(offset), drift=tuple(drift), distance=distance, flown=None)
+            for stays, factor, offset, drift, distance in zip(*(row.tolist() for row in rows), strict=True)
         ]
 
     @property

@@ -17,7 +17,7 @@ from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control.hover import HOVER_RANGE, HOVER_SPAN
 from aerial_gym.control.laws import LAWS
-from aerial_gym.control.loop_check import REMEDY, hover_error, instability
+from aerial_gym.control.loop_check import hover_error, instability, remedy
 from aerial_gym.control.stability import ClosedLoop, Hover, hover_model
 from aerial_gym.physics.effects import EFFECTS, DelayEffect
 from aerial_gym.physics.model import robot_effects
@@ -54,18 +54,19 @@ def report_drawn_ranges(
     """
     if controller.law not in LAWS or not randomize:
         return
-    faults = [
-        f"{name} = {ends}: {hover_error(hover) if hover.stable else instability(hover, dt)}"
-        for name, ends, hover in hovers_at_ends(
-            robot, controller, randomize, gravity=gravity, dt=dt, integrator=integrator, names=names
-        )
-        if not (hover.stable and hover.holds)
-    ]
+    found = hovers_at_ends(robot, controller, randomize, gravity=gravity, dt=dt, integrator=integrator, names=names)
+    faults = [each for each in found if not each[2].holds]
     if faults:
+        said = "; ".join(f"{name} = {end}: {_fault(hover, dt)}" for name, end, hover in faults)
+        helps = dict.fromkeys(remedy(hover) for _, _, hover in faults if hover.stable)
         logging.getLogger(__name__).warning(
             f"robot {names[0]} with controller {names[1]} at dt = {dt:g} s does not hover within {HOVER_RANGE:g} m for "
-            f"{HOVER_SPAN:g} s at these ends of drawn ranges: {'; '.join(faults)}. {REMEDY}, or narrow the ranges (randomize:)"
+            f"{HOVER_SPAN:g} s at these ends of drawn ranges: {said}. {'. '.join((*helps, 'Narrow the ranges (randomize:)'))}"
         )
+
+
+def _fault(hover: Hover, dt: float) -> str:
+    return hover_error(hover) if hover.stable else instability(hover, dt)
 
 
 def hovers_at_ends(

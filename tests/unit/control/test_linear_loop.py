@@ -136,3 +136,14 @@ def test_random_wind_and_later_failures_are_left_out_and_failures_from_the_start
         assert loop_of(robot).radius(DT) == pytest.approx(calm, abs=1e-9)
     failed = with_effects(QUAD, motor_failure={"motor": 1.0, "scale": 0.98, "time": 0.0})
     assert float(loop_of(failed).rest(DT).offset[0].norm()) > 0.01
+
+
+def test_slew_limited_rotors_are_flown() -> None:
+    """30 rad/s² lose a start with a lean of 0.1 rad, which 2000 rad/s² do not; small disturbances meet neither limit."""
+    rotor = QUAD.the_rotor("a test")
+    for slew, lost in ((2000.0, False), (30.0, True)):
+        robot = replace(QUAD, rotor=replace(rotor, slew_rate=slew, slew_rate_down=slew))
+        hover = loop_of(robot).hover(DT)
+        assert hover.stable
+        assert hover.lost is lost
+        assert hover.flown is not None

@@ -18,7 +18,7 @@ from aerial_gym.control.catalog import AERIAL_GYM_GAINS
 from aerial_gym.control.stability import ClosedLoop, largest_stable_dt
 from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics import TorchBackend, build_model, state_at_rest, vehicle_from_config
+from aerial_gym.physics import EFFECTS, TorchBackend, build_model, state_at_rest, vehicle_from_config
 from aerial_gym.physics.law_memory import law_command
 from aerial_gym.robots import ROBOTS
 
@@ -59,13 +59,16 @@ def test_registered_robots_come_to_rest_at_every_sim(law: str, robot: str) -> No
 
 
 @pytest.mark.slow
-def test_the_radius_of_a_controller_with_memory_is_that_of_a_flight() -> None:
+@pytest.mark.parametrize("delay", [0.0, 0.0073])
+def test_the_radius_of_a_controller_with_memory_is_that_of_a_flight(delay: float) -> None:
     """A small turn dies out by the radius in each step: over 400 steps, when the quicker modes are gone, by its 400th power."""
     loop = RateLoopCfg(rate_hz=100.0, derivative=(0.1, 0.1, 0.1), cutoff_hz=20.0)
     cfg = replace(CONTROLLERS.get("pid_rates_control"), rate_hz=50.0, rate_loop=loop, delay=0.01, action_delay=0.004)
     robot, backend, dt = ROBOTS.get("base_quadrotor"), TorchBackend(), 0.002
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
-    backend.allocate(build_model(vehicle), make_controller(cfg, vehicle, 9.81, dt=dt), integrator="euler")
+    late = (EFFECTS.get("actuation_delay"), torch.tensor([[delay]], dtype=torch.float64))
+    robot = replace(robot, effects={"actuation_delay": {"delay": delay}}, effects_source="test")
+    backend.allocate(build_model(vehicle, [late]), make_controller(cfg, vehicle, 9.81, dt=dt), integrator="euler")
     state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=torch.float64)
     state.rotor_speed.fill_(robot.rotor.speed_at(0.25 * 9.81 / 4))
     state.ang_vel.copy_(torch.tensor([[0.0, 0.0, 1e-3]], dtype=torch.float64))
