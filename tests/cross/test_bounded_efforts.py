@@ -12,6 +12,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from aerial_gym.config.checks import Vec3
 from aerial_gym.config.joint import DriveCfg, JointCfg, JointsCfg, LinkCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
@@ -82,8 +83,9 @@ def random_robot(seed: int) -> RobotCfg:
     return replace(robot, body=body, joints=JointsCfg(layout=tuple(layout), source="test"))
 
 
-def _rows(matrix: np.ndarray) -> tuple[tuple[float, float, float], ...]:
-    return tuple(tuple(row) for row in matrix.tolist())
+def _rows(matrix: np.ndarray) -> tuple[Vec3, Vec3, Vec3]:
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = matrix.tolist()
+    return (xx, xy, xz), (yx, yy, yz), (zx, zy, zz)
 
 
 class Flown:
@@ -160,9 +162,9 @@ def test_efforts_of_fused_steps_are_those_of_their_laws(name: str, monkeypatch: 
             action = torch.cat((2.0 * weight * drawn(num_rotors), told), dim=1).float().double()
         exact.step(state, action)
         found = seen[-1]
-        for name, flown in (("torch", single), ("fused", fused)):
+        for kind, flown in (("torch", single), ("fused", fused)):
             end = flown.step(state, action)
-            worst[name] = max(worst[name], residual_of(exact, found, state, end, action).max().item())
+            worst[kind] = max(worst[kind], residual_of(exact, found, state, end, action).max().item())
         state = end
     print(f"\n{name}: largest residual {worst['fused']:.1e}; float32 torch {worst['torch']:.1e}")
     assert worst["fused"] <= FACTOR * worst["torch"] + ROUND_OFF

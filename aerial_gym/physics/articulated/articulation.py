@@ -100,7 +100,7 @@ class Articulation:
 
     @property
     def looks_ahead(self) -> bool:
-        """Whether a step is tried before it is taken: drives may come to their limits in it, or dry friction may hold."""
+        """Whether a step solves for drives within their limits or for dry friction."""
         return bool(self.driven) or self.rubs
 
     @property
