@@ -228,7 +228,7 @@ def primitive_distance(shape: Shape, point: wp.vec3) -> float:
 
 @wp.func
 def support(shape: Shape, direction: wp.vec3) -> float:
-    """Return how far a shape that is no mesh reaches along a unit vector [m]; of a plane along its own normal alone."""
+    """Return the support of a shape that is no mesh along a unit vector [m]; of a plane along its own normal alone."""
     size = shape.size
     if shape.kind == BOX:
         return wp.dot(size, wp.vec3(wp.abs(direction[0]), wp.abs(direction[1]), wp.abs(direction[2])))

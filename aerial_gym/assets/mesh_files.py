@@ -81,7 +81,7 @@ def read_pieces(path: str | Path, *, scale: float, up: str | None) -> list["trim
 
 
 def _up_axis(path: str | Path) -> str:
-    """Return which axis points up by the rules of the file's format: ``x``, ``y`` or ``z``."""
+    """Return the up axis by the rules of the file's format: ``x``, ``y`` or ``z``."""
     if Path(path).suffix.lower() in (".glb", ".gltf"):
         return "y"
     if not is_collada(path):

@@ -72,7 +72,7 @@ def repeats_corner(half: wp.vec3, number: int) -> wp.bool:
 
 @wp.func
 def _search_edge(shape: Shape, middle: wp.vec3, half: wp.vec3, found: Nearest) -> Nearest:
-    """Return what is nearer: what was found, or the least on the edge from ``middle - half`` to ``middle + half``."""
+    """Return the nearer pair: the one found so far, or the nearest on the edge from ``middle - half`` to ``middle + half``."""
     if primitive_distance(shape, middle) - wp.length(half) >= found.distance:
         return found  # distances change by no more than the point moves
     low = wp.float32(-1.0)
@@ -107,7 +107,7 @@ def _search_edge(shape: Shape, middle: wp.vec3, half: wp.vec3, found: Nearest) -
 
 @wp.func
 def _search_face(shape: Shape, core: Core, axis: int, side: float, found: Nearest) -> Nearest:
-    """Return what is nearer: what was found, or the point of a rim that reaches furthest against a face, if it is before it."""
+    """Return the nearer pair: the one found so far, or that of the rim point that reaches furthest against a face before it."""
     b = (axis + 1) % 3
     c = (axis + 2) % 3
     outward = wp.vec3()
@@ -148,7 +148,7 @@ def _edge_half(half: wp.vec3, number: int) -> wp.vec3:
 
 @wp.func
 def _search_edges(shape: Shape, center: wp.vec3, turn: wp.quat, half: wp.vec3, found: Nearest) -> Nearest:
-    """Return what is nearer: what was found, or the least on the edges of a box, or on the line that it has become."""
+    """Return the nearer pair: the one found so far, or the nearest on the edges of a box, or on its line if it has no width."""
     k = wp.int32(0)
     while k < 12:
         axis = k >> 2
@@ -181,7 +181,7 @@ def _turned_round(core: Core, seen: Nearest, radius: float) -> Nearest:
 
 @wp.func
 def _search_back(shape: Shape, core: Core, found: Nearest) -> Nearest:
-    """Return what is nearer: what was found, or the least of the other shape's own edges or axis to a box.
+    """Return the nearer pair: the one found so far, or the nearest of the other shape's own edges or axis to a box.
 
     The axis of a cylinder counts where it is inside the box alone: there it has pierced two faces, far from all edges.
     """
@@ -209,7 +209,7 @@ PIERCED = wp.constant(1.0e-6)
 
 @wp.func
 def _search_corners(shape: Shape, core: Core, found: Nearest) -> Nearest:
-    """Return what is nearer: what was found, or the least of a mesh to corners and centre of a core, or an edge in the mesh."""
+    """Return the nearer pair: the one found so far, or that of a mesh and corners, centre or edges of a core."""
     nearer = wp.bool(False)
     k = wp.int32(0)
     while k < 9:
@@ -240,7 +240,7 @@ def _search_corners(shape: Shape, core: Core, found: Nearest) -> Nearest:
 
 @wp.func
 def _search_mesh(shape: Shape, core: Core, found: Nearest) -> Nearest:
-    """Return what is nearer: what was found, or the least of a mesh to a core."""
+    """Return the nearer pair: the one found so far, or that of a mesh and a core."""
     found = _search_corners(shape, core, found)
     box = as_box(core)
     matrix = wp.quat_to_matrix(core.turn)
@@ -266,7 +266,7 @@ def _search_mesh(shape: Shape, core: Core, found: Nearest) -> Nearest:
 
 @wp.func
 def _closer(found: Nearest, point: wp.vec3, away: wp.vec3) -> Nearest:
-    """Return what is nearer: what was found, or a point at ``away`` from the other shape."""
+    """Return the nearer pair: the one found so far, or that of a point at ``away`` from the other shape."""
     distance = wp.length(away)
     if distance < found.distance and distance > 0.0:
         found.distance = distance
@@ -277,7 +277,7 @@ def _closer(found: Nearest, point: wp.vec3, away: wp.vec3) -> Nearest:
 
 @wp.func
 def _search_triangle(shape: Shape, core: Core, found: Nearest) -> Nearest:
-    """Return what is nearer: what was found, or the least of a triangle to a core that does not overlap it, in closed form.
+    """Return the nearer pair: the one found so far, or that of a triangle and a core without overlap, in closed form.
 
     The nearest pair of two polytopes that are apart has a corner of one of them, or an edge of each.
     """

@@ -220,7 +220,7 @@ def make_touches_part(*, cores: bool) -> wp.Function:
 
 @wp.func
 def _local_center(shape: Shape, other: Path, own: BodyShape, path: Path, t: float) -> wp.vec3:
-    """Return where the centre of the robot's shape is in the frame of the part at a time [m]."""
+    """Return the centre of the robot's shape in the frame of the part at a time [m]."""
     q = _attitude_at(other, t)
     center = path.start + t * path.shift + wp.quat_rotate(_attitude_at(path, t), own.center - path.pivot)
     origin = other.start + t * other.shift + wp.quat_rotate(q, shape.position - other.pivot)

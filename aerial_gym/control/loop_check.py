@@ -95,12 +95,12 @@ def check_closed_loop(
 
 
 def _return(hover: Hover) -> str:
-    """Return how an unstable vehicle ends a flight, as the end of a sentence about it."""
+    """Return the end of the flight of an unstable vehicle, as the end of a sentence about it."""
     return "comes back to its setpoint" if hover.holds else f"comes back, but {hover_error(hover)}"
 
 
 def hover_error(hover: Hover) -> str:
-    """Return how far a vehicle is from where it was told to hover, as the end of a sentence about it."""
+    """Return the hover error of a vehicle, as the end of a sentence about it."""
     speed, away = (max(map(abs, part)) for part in (hover.drift, hover.offset))
     if speed * HOVER_SPAN > HOVER_RANGE:
         return f"drifts at {_vector(hover.drift)} m/s"
@@ -123,12 +123,12 @@ def refuse(controller: ControllerCfg, message: str) -> None:
 
 
 def remedy(hover: Hover) -> str:
-    """Return what helps a vehicle that hovers beside its setpoint."""
+    """Return the remedy for a vehicle that hovers beside its setpoint."""
     return SLOW_REMEDY if max(map(abs, (*hover.offset, *hover.drift))) < 0.01 else REMEDY
 
 
 def instability(hover: Hover, dt: float) -> str:
-    """Return what is wrong with an unstable loop at a time step [s], as the end of a sentence about it."""
+    """Return the fault of an unstable loop at a time step [s], as the end of a sentence about it."""
     if hover.stable:
         return f"is nearly unstable: from starts with {DISTURBANCE[2]:g} m/s and {DISTURBANCE[3]:g} rad/s it does not come back"
     if stable([hover.growth]):
@@ -171,5 +171,5 @@ def _largest_dt(loop: ClosedLoop, dt: float) -> str:
 
 
 def drawn_gains(randomize: Randomize) -> dict[str, RandomizeCfg]:
-    """Return what is drawn of gains, by their own names."""
+    """Return the drawn gains, by their own names."""
     return {name: randomize[f"gains.{name}"] for name in GAINS if f"gains.{name}" in randomize}

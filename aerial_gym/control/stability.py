@@ -291,7 +291,7 @@ class ClosedLoop:
         return "vx" in self.axes.split()
 
     def rest(self, dt: float, corner: Corner = None) -> Rest:
-        """Return where the loop comes to rest at a time step [s]."""
+        """Return the rest of the loop at a time step [s]."""
         if (dt, corner) not in self._rests:
             loop = self._sampled(dt, corner)
             start = loop.start(HEIGHT, self._hover)

@@ -25,7 +25,7 @@ cross = torch.linalg.cross
 def coasted(
     mass: Tensor, inertia: Tensor, lin_vel: Tensor, ang_vel: Tensor, dt: float
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return how a step without force changes the motion. Changes are small, so that float32 keeps what is conserved.
+    """Return the changes of motion in a step without force. Changes are small, so that float32 keeps what is conserved.
 
     Args:
         mass: Of hull and water along the body axes [kg], (E, 3).

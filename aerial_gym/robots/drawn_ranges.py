@@ -96,7 +96,7 @@ def hovers_at_ends(
 
 
 def _of_vehicle(randomize: Randomize, effects: set[str]) -> Randomize:
-    """Return what is drawn of the vehicle and of some effects; correlations do not change the ends."""
+    """Return the drawn quantities of the vehicle and of some effects; correlations do not change the ends."""
     chosen = {}
     for name, each in randomize.items():
         family, *rest = name.split(".")

@@ -167,7 +167,7 @@ def _drawn_effects(draw: random.Random, robot: RobotCfg, name: str | None) -> Ef
 
 
 def judged(group: Group) -> list[Case] | None:
-    """Return what check and flights say of the vehicles of a group; None of one that does not fit together."""
+    """Return the verdicts of check and flights on the vehicles of a group; None for parts that do not fit together."""
     hovers = []
     try:
         for effects in group.effects:

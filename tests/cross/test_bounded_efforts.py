@@ -107,7 +107,7 @@ class Flown:
 
 
 def residual_of(exact: Flown, found: Equations, start: JointedState, end: JointedState, action: Tensor) -> Tensor:
-    """Return what drives and friction applied beyond their laws at the end of a step, in shares of their limits, (E, D)."""
+    """Return the residual of the laws of drives and friction at the end of a step, in shares of their limits, (E, D)."""
     turn = start.attitude
     change = quat_rotate_inverse(turn, end.lin_vel - start.lin_vel), end.ang_vel - start.ang_vel
     acc = torch.cat((*change, end.joint_vel - start.joint_vel), dim=1) / DT

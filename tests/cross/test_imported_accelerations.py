@@ -264,7 +264,7 @@ class SdfWriter:
         return f"<pose {attributes}>{text_of(values)}</pose>", (at * turn, origin + at.apply(place))
 
     def weight(self, frame: tuple[Rotation, np.ndarray]) -> str:
-        """Return what a link says of its mass, and keep what that means."""
+        """Return the inertial that a link declares, and keep its meaning."""
         rng, kind = self.rng, self.rng.integers(6)
         at, origin = frame
         mass, squares = rng.uniform(0.2, 1.0), rng.uniform(1e-3, 4e-3, 3)

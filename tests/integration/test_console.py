@@ -22,7 +22,7 @@ class Output:
 
 
 def run(monkeypatch: pytest.MonkeyPatch, encoding: str, *arguments: str) -> Output:
-    """Return what a command writes to streams of an encoding that refuse what they lack, as Python opens them."""
+    """Return the output of a command on strict streams of an encoding, as Python opens them."""
     streams = [io.TextIOWrapper(io.BytesIO(), encoding=encoding, errors="strict") for _ in range(2)]
     monkeypatch.setattr(sys, "stdout", streams[0])
     monkeypatch.setattr(sys, "stderr", streams[1])

@@ -65,7 +65,7 @@ def send_ahead(env: EnvManager) -> None:
 
 
 def crashed_in(env: EnvManager, steps: int) -> torch.Tensor:
-    """Return which robots crash in some steps, (E,)."""
+    """Return the flags of robots that crash in some steps, (E,)."""
     found = torch.zeros(NUM_ENVS, dtype=torch.bool)
     for _ in range(steps):
         env.step(torch.zeros(NUM_ENVS, 4))

@@ -167,7 +167,7 @@ def crossings(
 
 
 def heights(hull: CollisionShape, part: ShapeCfg | trimesh.Trimesh, robot: Motion, other: Motion, n: Array) -> Array:
-    """Return how far the robot is above the plane that supports the part along n, at all times, (K TIMES, N)."""
+    """Return the height of the robot above the plane that supports the part along n, at all times, (K TIMES, N)."""
     found = []
     for j in range(len(robot.shifts)):
         for s in np.linspace(0.0, 1.0, TIMES):
@@ -220,7 +220,7 @@ def reported(
     end: float = 100.0,
     path: tuple[float, float] = (0.0, 0.0),
 ) -> NDArray[np.bool_]:
-    """Return which flights the collision test calls crashes, (N,).
+    """Return the flags of flights that the collision test calls crashes, (N,).
 
     Args:
         hull: The robot.

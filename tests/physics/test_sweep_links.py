@@ -76,7 +76,7 @@ def test_a_chain_of_arms_touches_a_pole_between_two_poses(misses: bool, flights:
 
 
 def reported(base: Motion, first: Array, rate: Array, pole: Array, pole_turn: Rotation) -> torch.Tensor:
-    """Return which flights the collision test calls crashes, (N,)."""
+    """Return the flags of flights that the collision test calls crashes, (N,)."""
     n = len(first)
     state = np.concatenate((pole, pole_turn.as_quat(), np.zeros((n, 6))), axis=1)
     rows = torch.zeros(1, dtype=torch.int64)

@@ -101,7 +101,7 @@ class BoundedProblem:
         return torch.stack([law.limit.expand_as(self.state.joint_pos) for law in self.laws])
 
     def wanted(self, position: Tensor, rate: Tensor) -> Tensor:
-        """Return what the laws ask for at positions and rates (E, D), beyond their limits or not, (K, E, D)."""
+        """Return the efforts that the laws ask for at positions and rates (E, D), beyond their limits or not, (K, E, D)."""
         return torch.stack([law.wanted(position, rate).expand_as(position) for law in self.laws])
 
     def side(self, wanted: Tensor) -> Tensor:
@@ -154,7 +154,7 @@ class BoundedProblem:
         return _Point(rate=end.joint_vel, wanted=wanted, effort=applied.sum(0))
 
     def _is_solved(self, before: Tensor, end: _Point) -> Tensor:
-        """Return which rows have the same limited laws at the end of a step as the step had, (E,)."""
+        """Return the flags of rows with the same limited laws at the end of a step as in the step, (E,)."""
         return (self.side(before) == self.side(end.wanted)).all(-1).all(0)
 
     def _line_search(self, start: _Point, end: _Point) -> Tensor:
@@ -174,7 +174,7 @@ class BoundedProblem:
         return _zero_of(share, slope)
 
     def _within_limits(self, step: EffortStep, wanted: Tensor, solved: Tensor) -> Bounded:
-        """Return what the laws do where they ask for ``wanted``; rows that are not solved have efforts held."""
+        """Return the bounded laws at the efforts ``wanted``; rows that are not solved have efforts held."""
         limit, found = self.limit, self._bounded(self.side(wanted))
         if self._is_done(solved):
             return found
@@ -192,7 +192,7 @@ class BoundedProblem:
 
 
 def _zero_of(share: Tensor, slope: Tensor) -> Tensor:
-    """Return where a rising, piecewise linear slope is zero, (E,); 1 where it is still negative there.
+    """Return the zero of a rising, piecewise linear slope, (E,); 1 if it is still negative there.
 
     Args:
         share: Places in ascending order, (E, T).

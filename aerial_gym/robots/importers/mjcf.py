@@ -182,7 +182,7 @@ class _Reader:
         return [] if body == self._root else list(range(first, first + int(self._model.body_jntnum[body])))
 
     def tilting(self, lines: Sequence[tuple[FoundRotor, int]]) -> dict[int, list[str]]:
-        """Return which joints move thrust lines, and of which rotors; the bodies that carry them are given with them."""
+        """Return the joints that move thrust lines, with their rotors and the bodies that carry them."""
         hinge, found = int(self._mujoco.mjtJoint.mjJNT_HINGE), {}
         turn, place = self._from_world[:3, :3], self._from_world[:3, 3]
         for rotor, start in lines:

@@ -74,7 +74,7 @@ def is_motor(plugin: ElementTree.Element) -> bool:
 
 
 def force_left_out(plugin: ElementTree.Element) -> str | None:
-    """Return what gives the force that a plugin stands for, or None: it gives none that a multirotor lacks."""
+    """Return the source of the force that a plugin stands for, or None if a multirotor lacks no such force."""
     name = f"{plugin.get('name', '')} {plugin.get('filename', '')}".lower().replace("_", "").replace("-", "")
     kind = next((what for part, what in AERODYNAMICS.items() if part in name), None)
     at = plugin.findtext("link_name") or plugin.findtext("joint_name")

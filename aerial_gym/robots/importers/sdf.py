@@ -129,7 +129,7 @@ def _tree(element: Element, path: Path) -> SdfTree:
 
 
 def _rotor(tree: SdfTree, motor: Motor, weights: dict[str, Weight], from_root: np.ndarray) -> FoundRotor:
-    """Return where a motor pushes: at the centre of mass of its link, along z of the link."""
+    """Return the place and axis of a motor: the centre of mass of its link, and z of the link."""
     if motor.link not in tree.links or motor.joint not in tree.joints:
         raise ConfigError(
             f"{tree.where}: there is no link {motor.link!r}, or no joint {motor.joint!r}, for a motor. Known: "
@@ -192,7 +192,7 @@ class _Reader:
         return self.tree.joints[joint].get("type") != "fixed" and joint not in self.spun
 
     def _tilts(self, rotor: FoundRotor) -> Callable[[str], bool]:
-        """Return what says of a joint on the way to a rotor whether it moves its thrust line."""
+        """Return the test of whether a joint on the way to a rotor moves its thrust line."""
 
         def of(joint: str) -> bool:
             axis, place = (

@@ -144,7 +144,7 @@ def _weightless(
 
 
 def _motor(motor: Motor, robot: "URDF", poses: dict[str, np.ndarray], on: dict[str, str], where: str) -> FoundRotor:
-    """Return where a motor pushes: along z of its link, at the centre of mass of it and of what is fixed to it.
+    """Return the place and axis of a motor: the centre of mass of its link with all fixed to it, and z of the link.
 
     Gazebo joins links with fixed joints to one before it simulates them.
     """

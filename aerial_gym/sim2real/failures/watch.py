@@ -199,7 +199,7 @@ class Watch:
 
     @property
     def clock_steps(self) -> int:
-        """Return how often the clock was set back so far."""
+        """Return the number of times the clock was set back so far."""
         return self._stamps.steps
 
     def _begin_anew(self) -> None:

@@ -107,7 +107,7 @@ class FlightLog(Recording):
         return 0 if rotors is None else rotors.shape[1]
 
     def where(self, row: int) -> str:
-        """Return how messages name a row: file, line if it has one, and time."""
+        """Return the name of a row for messages: file, line if it has one, and time."""
         line = "" if self.lines is None else f", line {self.lines[row]}"
         return f"{self.path}{line} (t = {self.time[row]:.6g} s)"
 

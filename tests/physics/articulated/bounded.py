@@ -44,7 +44,7 @@ class Bent:
         return torch.where(has_drive, self.drive.limit, 0.0) + self.friction.limit
 
     def lawful(self, position: Tensor, rate: Tensor) -> Tensor:
-        """Return what drive and friction give at a position and rate, (E, D), written out anew."""
+        """Return the efforts of drive and friction at a position and rate, (E, D), written out anew."""
         drive, size = self.drive, self.friction.limit
         wanted = drive.stiffness * (drive.position - position) + drive.damping * (drive.rate - rate) + drive.effort
         sticks = size * (rate / STICK_RATE).clamp(-1.0, 1.0)
@@ -136,7 +136,7 @@ class Watched:
         monkeypatch.setattr(owner, name, watched)
 
     def effort(self, bent: Bent, end: TreeState) -> Tensor:
-        """Return what drive and friction of joints applied in the step that ended so [N m], (E, D)."""
+        """Return the efforts of drives and friction of joints in the step that ended so [N m], (E, D)."""
         assert self.end is end
         start = bent.state
         passive = joint_effort(bent.laws, start.joint_pos, start.joint_vel)

@@ -79,7 +79,7 @@ def test_settings_are_usual_inside_and_the_callers_outside() -> None:
 
 
 def flown(robot: str, controller: str, env: str, backend: str, device: str = "cpu") -> dict[str, Tensor]:
-    """Return what the GTD holds after three steps and a look."""
+    """Return the content of the GTD after three steps and a look."""
     sim = SimBuilder().build_env(
         sim_name="base_sim", env_name=env, robot_name=robot, controller_name=controller, num_envs=2, device=device,
         seed=0, backend=backend,

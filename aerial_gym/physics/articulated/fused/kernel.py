@@ -168,7 +168,7 @@ def make_jointed_kernel(
         vehicle: vehicle_type, more: wp.spatial_vector, held: wp.vec3, pos: joint_vector, vel: joint_vector,
         asked: joint_vector, given: held_type, thrusts: vector, drags: vector, w: wp.vec3, move: wp.vec3, dt: float,
     ):  # fmt: skip
-        """Return what ``find`` does under drives and dry friction within their limits, and the rate at which turning is taken.
+        """Return the results of ``find`` under limited drives and dry friction, and the rate at which turning is taken.
 
         It is ``steppers.with_drive``; one loop for all solutions has the code of ``find`` once.
         """

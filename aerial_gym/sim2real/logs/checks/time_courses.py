@@ -100,7 +100,7 @@ def _mean_rate(rate: Array | None, lag: int, like: Array) -> Array:
 
 
 def _motion_over(log: FlightLog, rows: int) -> dict[str, Array]:
-    """Return how far each quantity moves over some rows at its measured rate, (T - rows,): sensors that repeat err by less."""
+    """Return the motion of each quantity over some rows at its measured rate, (T - rows,): sensors that repeat err by less."""
     passed = log.time[rows:] - log.time[:-rows]
     rates = {"attitude": log.ang_vel, "position": log.lin_vel, "velocity": _acceleration(log)}
     still = np.zeros(passed.size)

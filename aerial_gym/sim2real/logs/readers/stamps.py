@@ -155,7 +155,7 @@ def _is_near(stamps: Array, rows: Indices, step: float) -> Flags:
 
 
 def _out_of_order(stamps: Array, width: int) -> Flags:
-    """Return which stamps (K,) are no later than one of so many before, or no earlier than one of so many after."""
+    """Return the flags (K,) of stamps no later than one of so many before, or no earlier than one of so many after."""
     padded = np.concatenate((np.full(width, -np.inf), stamps, np.full(width, np.inf)))
     windows = np.lib.stride_tricks.sliding_window_view(padded, width)
     return (windows[: stamps.size].max(axis=1) >= stamps) | (windows[width + 1 :].min(axis=1) <= stamps)
