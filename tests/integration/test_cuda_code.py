@@ -187,9 +187,13 @@ def test_the_physics_kernel_with_obstacles_that_push_compiles() -> None:
     compile_for_gpu(rig.backend.kernel.module)
 
 
-@pytest.mark.parametrize(("moves", "cores"), [pytest.param(True, False, marks=pytest.mark.slow), (False, True)])
-def test_the_collision_kernel_compiles(moves: bool, cores: bool) -> None:
-    compile_for_gpu(make_walk(moves=moves, shared=True, cores=cores).module)
+@pytest.mark.parametrize(
+    ("moves", "cores", "meshes"),
+    [pytest.param(True, True, True, marks=pytest.mark.slow), (False, False, False)],
+    ids=["largest", "smallest"],
+)
+def test_the_collision_kernel_compiles(moves: bool, cores: bool, meshes: bool) -> None:
+    compile_for_gpu(make_walk(moves=moves, shared=True, cores=cores, meshes=meshes).module)
 
 
 @pytest.mark.parametrize(("lanes", "rows"), [(LANES, ROWS), (1, 3)])
