@@ -115,7 +115,7 @@ def _sim_of(freq: float) -> str:
     for name in SIMS.names():
         if abs(SIMS.get(name).dt * freq - 1.0) < 1e-9:
             return name
-    known = ", ".join(f"{1.0 / SIMS.get(name).dt:.0f}" for name in SIMS.names())
+    known = ", ".join(dict.fromkeys(f"{1.0 / SIMS.get(name).dt:.0f}" for name in SIMS.names()))
     raise ConfigError(f"sim.freq = {freq!r}: no sim has this frequency. Known: {known} Hz")
 
 
