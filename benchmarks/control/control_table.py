@@ -141,7 +141,9 @@ def sims_table(flights: list[Flight]) -> str:
         "| --- |" + " --- |" * len(COMPARED_SIMS),
     ]
     for controller in dict.fromkeys(f.controller for f in own(flights)):
-        cells = [_over([f for f in own(flights) if (f.controller, f.sim) == (controller, sim)]) for sim in COMPARED_SIMS]
+        cells = [
+            _over([f for f in own(flights) if (f.controller, f.sim) == (controller, sim)]) for sim in COMPARED_SIMS
+        ]
         lines.append(f"| `{controller}` | {' | '.join(cells)} |")
     return "\n".join(lines)
 
