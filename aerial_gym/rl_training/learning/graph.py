@@ -8,7 +8,7 @@ import torch
 from aerial_gym.errors import CapabilityError
 from aerial_gym.interop import recorded
 
-WARM_UP_ITERATIONS = 1
+WARM_UP_ITERATIONS = 2
 """Iterations before the recording, in which kernels are compiled and memory is taken; they count as all others do."""
 
 _log = logging.getLogger(__name__)
