@@ -64,25 +64,33 @@ for _name, _kind, _own in (
 
 
 def _gains_of(robot: str) -> LeeGainsCfg:
-    """Return the published gains in a robot file."""
+    """Return the published gains of a robot: those in a file of their own, else those in the robot file."""
+    own = CONFIG_DIR / "controllers" / f"{robot}_gains.yaml"
+    if own.is_file():
+        return load(LeeGainsCfg, own)
     path = files_of("robots")[robot]
     control = read_yaml(path)["control"]
     return build(LeeGainsCfg, control["gains"], where=f"{path}: control: gains")  # type: ignore[index]
 
 
-for _robot in ("lmf2", "magpie", "octarotor"):
-    _file = CONFIG_DIR / "controllers" / f"{_robot}_gains.yaml"
-    _gains = load(LeeGainsCfg, _file) if _file.is_file() else _gains_of(_robot)
-    for _law in ("position", "velocity", "acceleration", "attitude", "rates"):
-        _cfg = CONTROLLERS.get(f"lee_{_law}_control")
-        _summary = f"{_cfg.summary}; with the published gains of the {_robot}"
-        CONTROLLERS.register(f"{_robot}_{_law}_control", replace(_cfg, summary=_summary, gains=_gains))
+def _register_with_gains(name: str, base: str, summary: str, robot: str) -> None:
+    """Register a controller with a robot's published gains, whose file is read when it is first asked for."""
+    CONTROLLERS.register_later(
+        name,
+        lambda: replace(CONTROLLERS.get(base), summary=summary, gains=_gains_of(robot)),
+        summary=lambda: summary,
+    )
 
-CONTROLLERS.register(
+
+for _robot in ("lmf2", "magpie", "octarotor"):
+    for _law in ("position", "velocity", "acceleration", "attitude", "rates"):
+        _base = f"lee_{_law}_control"
+        _summary = f"{CONTROLLERS.get(_base).summary}; with the published gains of the {_robot}"
+        _register_with_gains(f"{_robot}_{_law}_control", _base, _summary, _robot)
+
+_register_with_gains(
     "rov_fully_actuated_control",
-    replace(
-        CONTROLLERS.get("fully_actuated_control"),
-        summary="position [m] and attitude (xyzw), world; with the published gains of the base_rov",
-        gains=load(LeeGainsCfg, CONFIG_DIR / "controllers" / "rov_gains.yaml"),
-    ),
+    "fully_actuated_control",
+    "position [m] and attitude (xyzw), world; with the published gains of the base_rov",
+    "rov",
 )
