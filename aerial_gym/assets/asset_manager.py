@@ -4,18 +4,16 @@ Frames: world of each environment, z up. Letters: E environments, A instances.
 """
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from aerial_gym.assets.asset_table import asset_table
-from aerial_gym.assets.clearance import GOAL, START, Clearance
 from aerial_gym.assets.families import with_shapes
-from aerial_gym.assets.motion import Motion
 from aerial_gym.assets.obstacles import view_obstacles
 from aerial_gym.assets.placement import Placement, draw_kinds
 from aerial_gym.assets.scene import PARKED_Z, Scene
-from aerial_gym.assets.track import TrackPlacement
 from aerial_gym.assets.views import check_tensor
 from aerial_gym.config.environment import FIRST_INSTANCE_ID, EnvironmentCfg, PartCfg
 from aerial_gym.config.shape import BASE
@@ -23,6 +21,12 @@ from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.interop import plain_device, with_usual_settings
 from aerial_gym.math.random import Randomness, take_mask
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
+
+if TYPE_CHECKING:
+    from aerial_gym.assets.below import SurfaceBelow
+    from aerial_gym.assets.clearance import Clearance
+    from aerial_gym.assets.motion import Motion
+    from aerial_gym.assets.track import TrackPlacement
 
 _OWNER = "AssetManager"
 
@@ -90,14 +94,13 @@ class AssetManager:
             self._placement = Placement(
                 obstacles, mask=random.mask, num_kept=cfg.num_kept, num_others=self._num_obstacles
             )
-        self._obstacles, self._track = obstacles, None
+        self._obstacles = obstacles
+        self._track: TrackPlacement | None = None
         self.moving = obstacles if cfg.moves else None
         """The obstacles as kernels see them, where an asset moves."""
-        self._motion = Motion(obstacles, twists=self._env_actions) if cfg.moves else None
+        self._motion = self._make_motion() if cfg.moves else None
         wanted = cfg.clearance > 0.0 and self.num_assets > 0
-        self._clearance = (
-            Clearance(self.scene, obstacles, mask=random.mask, room=cfg.clearance + robot_radius) if wanted else None
-        )
+        self._clearance = self._make_clearance(cfg.clearance + robot_radius) if wanted else None
         self.set_num_obstacles(self.num_assets - cfg.num_kept)
         self._park_all()
 
@@ -171,6 +174,8 @@ class AssetManager:
     def track_from(self, start: Tensor) -> None:
         """Take where robots start [m], world, (E, 3), from which ``place_track`` draws the race tracks of environments."""
         if self.cfg.track is not None:
+            from aerial_gym.assets.track import TrackPlacement
+
             self._track = TrackPlacement(
                 self.cfg.track,
                 self._obstacles,
@@ -190,6 +195,12 @@ class AssetManager:
             take_mask(self.random.mask, mask)
             self._track.draw()
 
+    def surface_below(self, position: Tensor, *, height_out: Tensor) -> "SurfaceBelow":
+        """Return what writes the height of the surface below positions (E, 3) to ``height_out`` (E,) [m], world."""
+        from aerial_gym.assets.below import SurfaceBelow
+
+        return SurfaceBelow(self.scene, position=position, height_out=height_out)
+
     def clear_start(self, mask: Tensor, position: Tensor) -> None:
         """Draw again, or park, the obstacles of masked environments that are too close to where the robot starts.
 
@@ -201,6 +212,8 @@ class AssetManager:
             position: Origin of the robot [m], world, (E, 3).
         """
         if self._clearance is not None:
+            from aerial_gym.assets.clearance import START
+
             self._clearance.clear(mask, position, which=START)
 
     def clear_goal(self, mask: Tensor, position: Tensor) -> None:
@@ -211,6 +224,8 @@ class AssetManager:
             position: Goal [m], world, (E, 3).
         """
         if self._clearance is not None:
+            from aerial_gym.assets.clearance import GOAL
+
             self._clearance.clear(mask, position, which=GOAL)
 
     def _declare(self, gtd: GlobalTensorDictionary, asset_state: Tensor | None) -> None:
@@ -287,6 +302,18 @@ class AssetManager:
             robot_links=robot_links,
             lamps=self.cfg.lamps,
         )
+
+    def _make_motion(self) -> "Motion":
+        """Return what moves the obstacles; imported only where some do, as an import of Warp functions takes long."""
+        from aerial_gym.assets.motion import Motion
+
+        return Motion(self._obstacles, twists=self._env_actions)
+
+    def _make_clearance(self, room: float) -> "Clearance":
+        """Return what keeps start and goal clear [m]; imported only where it is asked for, likewise."""
+        from aerial_gym.assets.clearance import Clearance
+
+        return Clearance(self.scene, self._obstacles, mask=self.random.mask, room=room)
 
     def _park_all(self) -> None:
         self._state.zero_()

@@ -16,7 +16,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.assets.body_shapes import BodyShape, body_shapes, shape_gap
-from aerial_gym.assets.geometry import Shape
+from aerial_gym.assets.shape_row import Shape
 from aerial_gym.assets.shapes import ShapeTable
 from aerial_gym.assets.sweep import make_touches, path_between
 from aerial_gym.assets.views import check_tensor, vector_view

@@ -1,23 +1,20 @@
-"""The collision shapes of a robot: spheres, boxes and capsules, all of them a core with a radius around it.
+"""The collision shapes of a robot in kernels: spheres, boxes and capsules, all of them a core with a radius around it.
 
-The core of a sphere is a point, that of a capsule a line, that of a box the box itself, with radius 0. What a plane touches
-first is one of the core's corners, which are the *contact points* of a shape: for a plane they are exact.
-
-The distance to any other surface is the least signed distance in the core (``nearest``), less the radius.
-Frames: centres and attitudes in the body frame. Letters: C shapes or contact points.
+The distance to a plane is that of their contact points (``cores``). The distance to any other surface is the least signed
+distance in the core (``nearest``), less the radius.
+Frames: centres and attitudes in the body frame. Letters: C shapes.
 """
 
 from collections.abc import Sequence
-from itertools import product
 
 import torch
 import warp as wp
-from torch import Tensor
 
-from aerial_gym.assets.geometry import Shape, signed_distance
+from aerial_gym.assets.cores import core_of
+from aerial_gym.assets.geometry import signed_distance
 from aerial_gym.assets.nearest import Core, nearest_of_core
-from aerial_gym.config.robot import BoxCfg, CollisionShape, SphereCfg
-from aerial_gym.math.quaternion import quat_from_euler, quat_rotate
+from aerial_gym.assets.shape_row import Shape
+from aerial_gym.config.robot import CollisionShape
 
 
 @wp.struct
@@ -88,22 +85,6 @@ def body_reach_in_step(
     return reach
 
 
-def core_of(shape: CollisionShape) -> tuple[Tensor, Tensor, Tensor, float]:
-    """Return centre (3,), attitude (4,), half edges of the core (3,) and radius of a shape, float64."""
-    center = torch.tensor(shape.center, dtype=torch.float64)
-    if isinstance(shape, SphereCfg):
-        return center, torch.tensor([0.0, 0.0, 0.0, 1.0]).double(), torch.zeros(3).double(), shape.radius
-    attitude = quat_from_euler(torch.tensor(shape.euler, dtype=torch.float64))
-    if isinstance(shape, BoxCfg):
-        return center, attitude, 0.5 * torch.tensor(shape.size, dtype=torch.float64), 0.0
-    return center, attitude, torch.tensor([0.0, 0.0, 0.5 * shape.height], dtype=torch.float64), shape.radius
-
-
-def has_cores(shapes: Sequence[CollisionShape]) -> bool:
-    """Return whether there is anything but spheres."""
-    return any(not isinstance(shape, SphereCfg) for shape in shapes)
-
-
 def body_shapes(shapes: Sequence[CollisionShape], *, device: torch.device) -> wp.array:
     """Return the shapes as a kernel takes them, (C,) of ``BodyShape``."""
     rows = []
@@ -115,21 +96,3 @@ def body_shapes(shapes: Sequence[CollisionShape], *, device: torch.device) -> wp
         row.reach = float(half.norm()) + radius
         rows.append(row)
     return wp.array(rows, dtype=BodyShape, device=wp.device_from_torch(device))
-
-
-def contact_points(shapes: Sequence[CollisionShape], *, device: torch.device) -> Tensor:
-    """Return the corners of all cores in the body frame and the radii around them [m], float32, (C, 4)."""
-    rows = []
-    for shape in shapes:
-        center, attitude, half, radius = core_of(shape)
-        signs = [(1.0, -1.0) if size > 0.0 else (0.0,) for size in half.tolist()]
-        for corner in product(*signs):
-            place = center + quat_rotate(attitude, half * torch.tensor(corner, dtype=torch.float64))
-            rows.append((*place.tolist(), radius))
-    return torch.tensor(rows, dtype=torch.float32, device=device).view(-1, 4)
-
-
-def body_reach(shapes: Sequence[CollisionShape]) -> float:
-    """Return how far the shapes reach from the body origin [m]; 0 without any."""
-    points = contact_points(shapes, device=torch.device("cpu")).double()
-    return float((points[:, :3].norm(dim=1) + points[:, 3]).amax()) if len(points) else 0.0

@@ -18,10 +18,11 @@ from typing import Any
 import warp as wp
 
 from aerial_gym.assets.body_shapes import BodyShape, body_distance, body_reach_in_step
-from aerial_gym.assets.geometry import MESH, Shape, primitive_distance, signed_distance
+from aerial_gym.assets.geometry import primitive_distance, signed_distance
 from aerial_gym.assets.motion import instance_moves, move_instance, moved
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene_arrays import ABSENT_BELOW, WORLD, SceneArrays
+from aerial_gym.assets.shape_row import MESH, Shape
 from aerial_gym.assets.sweep import largest_bow, make_meets_moving, make_meets_still, path_between
 
 REGISTERS = 168

@@ -15,19 +15,14 @@ Frames: that of the other shape.
 import warp as wp
 
 from aerial_gym.assets.geometry import (
-    BOX,
-    CYLINDER,
-    MESH,
-    PLANE,
     TINY,
-    TRIANGLE,
-    Shape,
     nearest_on_triangle,
     outward_normal,
     primitive_distance,
     primitive_normal,
     signed_distance,
 )
+from aerial_gym.assets.shape_row import BOX, CYLINDER, MESH, PLANE, TRIANGLE, Shape
 
 BISECTIONS = wp.constant(14)
 """Of an edge, whose least is then found to 3e-5 of its length."""

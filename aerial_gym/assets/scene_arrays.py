@@ -6,7 +6,7 @@ robot that are seen.
 
 import warp as wp
 
-from aerial_gym.assets.geometry import Shape
+from aerial_gym.assets.shape_row import Shape
 
 ABSENT_BELOW = wp.constant(-500.0)
 """Height [m] below which an instance is absent; half way to the parking place, so that drifting there does not matter."""

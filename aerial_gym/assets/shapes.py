@@ -8,9 +8,9 @@ import numpy as np
 import torch
 import warp as wp
 
-from aerial_gym.assets.geometry import BOX, CAPSULE, CYLINDER, MESH, PLANE, SPHERE, Shape
 from aerial_gym.assets.looks import LookTable, MeshLook, look_of_mesh
 from aerial_gym.assets.mesh_files import join_pieces, read_pieces
+from aerial_gym.assets.shape_row import BOX, CAPSULE, CYLINDER, MESH, PLANE, SPHERE, Shape
 from aerial_gym.assets.urdf import load_urdf_shape
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 from aerial_gym.math.quaternion import quat_from_euler

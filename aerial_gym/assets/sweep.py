@@ -21,18 +21,11 @@ from functools import cache
 import warp as wp
 
 from aerial_gym.assets.body_shapes import BodyShape
-from aerial_gym.assets.geometry import (
-    BOX,
-    MESH,
-    TRIANGLE,
-    Shape,
-    primitive_distance,
-    primitive_normal,
-    support,
-)
+from aerial_gym.assets.geometry import primitive_distance, primitive_normal, support
 from aerial_gym.assets.motion import moved, next_turning
 from aerial_gym.assets.nearest import BISECTIONS, Core, corner_of, nearest_of_core, repeats_corner
 from aerial_gym.assets.obstacles import Obstacles
+from aerial_gym.assets.shape_row import BOX, MESH, TRIANGLE, Shape
 
 NEAR = wp.constant(2.0e-4)
 """Distance [m] that counts as a touch between poses. Places up to 1 km from the origin are rounded by 6e-5 m in float32."""

@@ -13,32 +13,29 @@ from torch import Tensor
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control import lee_fused
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.control.betaflight.controller import BetaflightController
-from aerial_gym.control.cascade import CascadeController
-from aerial_gym.control.crazyflie.controller import (
-    BrescianiniController,
-    CrazyflieLeeController,
-    MellingerController,
-    PidController,
-)
 from aerial_gym.control.gains import GAINS, gains_for, with_own_rows
 from aerial_gym.control.laws import LAWS
-from aerial_gym.control.px4.controller import OF_PX4, Px4Controller
 from aerial_gym.control.timing import remembers
 from aerial_gym.errors import ConfigError
+from aerial_gym.lazy import Home
 from aerial_gym.physics.fused import FusedLaw
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import Vehicle
 
-OF_AUTOPILOTS = {
-    "px4": Px4Controller,
-    "betaflight": BetaflightController,
-    "mellinger": MellingerController,
-    "crazyflie_pid": PidController,
-    "crazyflie_lee": CrazyflieLeeController,
-    "brescianini": BrescianiniController,
+WITH_MEMORY = {
+    None: Home("aerial_gym.control.cascade:CascadeController"),
+    "px4": Home("aerial_gym.control.px4.controller:Px4Controller"),
+    "betaflight": Home("aerial_gym.control.betaflight.controller:BetaflightController"),
+    "mellinger": Home("aerial_gym.control.crazyflie.controller:MellingerController"),
+    "crazyflie_pid": Home("aerial_gym.control.crazyflie.controller:PidController"),
+    "crazyflie_lee": Home("aerial_gym.control.crazyflie.controller:CrazyflieLeeController"),
+    "brescianini": Home("aerial_gym.control.crazyflie.controller:BrescianiniController"),
 }
-"""By the field of ``ControllerCfg`` that has their parameters."""
+"""Controllers with rates or memory, by the field of ``ControllerCfg`` that has the parameters of their autopilot; imported when
+one is first asked for."""
+
+OF_PX4 = ("position", "velocity", "attitude", "rates")
+"""Laws that PX4's cascade has."""
 
 __path__: list[str] = []  # scripts of another simulator import modules below this name: aerial_gym.compat.modules
 
@@ -215,7 +212,6 @@ def make_controller(
             raise ConfigError(
                 f"law {cfg.law!r}: a controller with rates or memory is built for one time step. Give dt [s]"
             )
-        kind = CascadeController if cfg.autopilot is None else OF_AUTOPILOTS[cfg.autopilot]
-        return kind(cfg, vehicle, gravity, dt=dt, control=control)
+        return WITH_MEMORY[cfg.autopilot].load()(cfg, vehicle, gravity, dt=dt, control=control)
     known = ", ".join(("thrust", "rotor_speed", *LAWS))
     raise ConfigError(f"ControllerCfg.law = {cfg.law!r}: unknown. Known: {known}")

@@ -20,7 +20,6 @@ from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.control.cascade import CascadeController
 from aerial_gym.control.controllers import LeeController, make_controller
 from aerial_gym.control.gains import apparent_gravity, ends_of
 from aerial_gym.control.hover import DISTURBANCE, HOVER_RANGE, HOVER_SPAN, Rest, distances, find_rest, flown_distance
@@ -335,7 +334,11 @@ class ClosedLoop:
 
     def _make_law(self, dt: float, corner: Corner, vehicle: Vehicle) -> ControlLaw:
         law = make_controller(self._controller, vehicle, self._gravity, dt=dt, control=self._robot.control)
-        if corner is not None and isinstance(law, LeeController | CascadeController):
+        if corner is None:
+            return law
+        from aerial_gym.control.cascade import CascadeController
+
+        if isinstance(law, LeeController | CascadeController):
             chosen, known = zip(self.drawn.items(), corner, strict=True), law.named_gains
             ends = {name: ends_of(name, cfg, known[name])[end] for (name, cfg), end in chosen if name in known}
             law.gains = replace(law.gains, **ends)

@@ -6,14 +6,13 @@ with the collision test, which follows all K substeps. Letters: E environments, 
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import torch
 from torch import Tensor
 
 from aerial_gym.assets import AssetManager, Bounds
-from aerial_gym.assets.below import SurfaceBelow
-from aerial_gym.assets.body_shapes import body_reach
+from aerial_gym.assets.cores import body_reach
 from aerial_gym.config.checks import MAX_COUNT
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.environment import EnvironmentCfg
@@ -32,8 +31,12 @@ from aerial_gym.registry.state import below, check_state, identity, restore, sav
 from aerial_gym.robots import ROBOTS, RobotManager, Surroundings
 from aerial_gym.robots.differentiable import DifferentiableBackend
 from aerial_gym.robots.drawn_ranges import report_drawn_ranges
-from aerial_gym.robots.joints.links import LinkPlaces, declare_links
+from aerial_gym.robots.joints.link_tensors import declare_links
 from aerial_gym.sensors import ImuSet, SensorManager, mounted_sensors
+
+if TYPE_CHECKING:
+    from aerial_gym.assets.below import SurfaceBelow
+    from aerial_gym.robots.joints.links import LinkPlaces
 
 
 def _name_in(registry: Registry[Any], entry: RobotCfg | ControllerCfg) -> str:
@@ -145,10 +148,11 @@ class EnvManager:
         self._links: LinkPlaces | None = None
         if robot.joints is not None and links is not None:
             assert isinstance(self.robot_manager.tensors.state, JointedState)
-            self._links = LinkPlaces(robot.joints, self.robot_manager.tensors.state, links, trajectory)
-        surface, self._below = self.robot_manager.felt.surface_height, None
+            self._links = links.places(robot.joints, self.robot_manager.tensors.state, trajectory)
+        surface = self.robot_manager.felt.surface_height
+        self._below: SurfaceBelow | None = None
         if surface is not None:
-            self._below = SurfaceBelow(scene, position=self.gtd["robot_position"], height_out=surface)
+            self._below = self.asset_manager.surface_below(self.gtd["robot_position"], height_out=surface)
         self.asset_manager.track_from(self.gtd["robot_position"])
         pose = {"position": self.gtd["robot_position"], "attitude": self.gtd["robot_orientation"]}
         range_sensors, imus = mounted_sensors(robot.sensor_mounts, places)

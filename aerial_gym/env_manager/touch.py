@@ -4,18 +4,25 @@ Letters: E environments, L links, K substeps of a step.
 """
 
 from collections.abc import Mapping
+from math import inf
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
-from aerial_gym.assets import AssetManager, CollisionTest
-from aerial_gym.assets.between_links import BetweenLinks
+from aerial_gym.assets import AssetManager
 from aerial_gym.config.environment import EnvironmentCfg
+from aerial_gym.config.joint import JointsCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.physics import Trajectory
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
-from aerial_gym.robots.joints.links import LinkPlaces, LinkTensors
+from aerial_gym.robots.joints.link_tensors import LinkTensors
+
+if TYPE_CHECKING:
+    from aerial_gym.assets.between_links import BetweenLinks
+    from aerial_gym.assets.collision import CollisionTest
+    from aerial_gym.robots.joints.links import LinkPlaces
 
 
 def recorded(
@@ -44,7 +51,7 @@ class Touch:
         *,
         pose: Mapping[str, Tensor],
         links: LinkTensors | None,
-        places: LinkPlaces | None,
+        places: "LinkPlaces | None",
         trajectory: Trajectory | None,
         dt: float,
     ) -> None:
@@ -61,49 +68,71 @@ class Touch:
             dt: Length of a substep [s].
         """
         crashes = gtd["crashes"]
-        self._collision = CollisionTest(
-            assets.scene,
-            robot.collision.on(BASE),
-            links=() if links is None else links.shapes_of(robot.collision),
-            distance_out=gtd["robot_clearance"],
-            moving=assets.moving,
-            **pose,
-        )
+        self._collision: CollisionTest | None = None
+        gtd["robot_clearance"].fill_(inf)
+        if assets.scene.num_solid:
+            self._collision = _with_obstacles(robot, gtd, assets, pose, links)
         followed = None if trajectory is None else (trajectory.position, trajectory.attitude)
         if places is not None and places.track is not None:
             followed, dt = (places.track.position, places.track.attitude), dt / places.track.pieces
-        self._follows = followed is not None and self._collision.has_solids
-        if followed is not None and self._follows:
+        self._follows = followed is not None
+        if followed is not None and self._collision is not None:
             self._collision.follow(*followed, dt=dt, crashes_out=crashes)
         self._between: BetweenLinks | None = None
         if robot.collision.between_links and robot.joints is not None and links is not None and followed is not None:
-            self._between = BetweenLinks(
-                robot.collision,
-                names=robot.link_names,
-                parents=[robot.joints.link_of(joint.parent) for joint in robot.joints.layout],
-                pivots=links.pivots,
-                state=links.state,
-                distance_out=gtd.declare(TensorSpec(
-                    key="robot_link_clearance", shape=("E",), unit="m", frame="-", owner="env",
-                    meaning="signed distance of the robot's links to each other, without those that always touch",
-                )),
-            )  # fmt: skip
+            self._between = _between_links(robot, robot.joints, links, gtd)
             self._between.follow(*followed, crashes_out=crashes)
-        self._collision.measure()  # without obstacles, once: nothing is at any distance
         self.measure()
 
     def step(self) -> None:
         """Measure after a step. Obstacles that do not push back move; a touch at any time of the step is a crash."""
-        if self._follows:
-            self._collision.step()
-        elif self._collision.has_solids:
-            self._collision.measure()
+        if self._collision is not None:
+            (self._collision.step if self._follows else self._collision.measure)()
         if self._between is not None:
             self._between.step()
 
     def measure(self) -> None:
         """Write the distances of the present poses."""
-        if self._collision.has_solids:
+        if self._collision is not None:
             self._collision.measure()
         if self._between is not None:
             self._between.measure()
+
+
+def _with_obstacles(
+    robot: RobotCfg,
+    gtd: GlobalTensorDictionary,
+    assets: AssetManager,
+    pose: Mapping[str, Tensor],
+    links: LinkTensors | None,
+) -> "CollisionTest":
+    """Return the test with obstacles and ground; imported only where there are any, as its Warp functions take long."""
+    from aerial_gym.assets.collision import CollisionTest
+
+    return CollisionTest(
+        assets.scene,
+        robot.collision.on(BASE),
+        links=() if links is None else links.shapes_of(robot.collision),
+        distance_out=gtd["robot_clearance"],
+        moving=assets.moving,
+        **pose,
+    )
+
+
+def _between_links(
+    robot: RobotCfg, joints: JointsCfg, links: LinkTensors, gtd: GlobalTensorDictionary
+) -> "BetweenLinks":
+    """Return the test of links with each other, and declare their distance."""
+    from aerial_gym.assets.between_links import BetweenLinks
+
+    return BetweenLinks(
+        robot.collision,
+        names=robot.link_names,
+        parents=[joints.link_of(joint.parent) for joint in joints.layout],
+        pivots=links.pivots,
+        state=links.state,
+        distance_out=gtd.declare(TensorSpec(
+            key="robot_link_clearance", shape=("E",), unit="m", frame="-", owner="env",
+            meaning="signed distance of the robot's links to each other, without those that always touch",
+        )),
+    )  # fmt: skip

@@ -7,7 +7,7 @@ from math import inf
 
 from torch import Tensor
 
-from aerial_gym.assets.body_shapes import contact_points
+from aerial_gym.assets.cores import contact_points
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.config.sim import SimCfg
@@ -17,9 +17,6 @@ from aerial_gym.physics.effects import FluidEffect
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.state import BodyState
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
-from aerial_gym.robots.joints.among_obstacles import LinksAmongObstacles
-from aerial_gym.robots.joints.touching import shapes_on_links
-from aerial_gym.robots.scene_contact import PushedRobot, SceneContact
 from aerial_gym.robots.surroundings import Surroundings
 
 
@@ -35,6 +32,8 @@ class Pushing:
         self._robot, self._around = robot, around
         self._spheres, self._on_links = contact_points(robot.collision.on(BASE), device=gtd.device), None
         if around.contact is not None and robot.joints is not None:
+            from aerial_gym.robots.joints.touching import shapes_on_links
+
             moves = around.moving is not None
             self._spheres, self._on_links = shapes_on_links(robot, device=gtd.device, scene=around.scene, moves=moves)
         self.force: Tensor | None = None
@@ -80,6 +79,8 @@ class Pushing:
         if self.force is None or contact is None or scene is None or not scene.num_instances:
             return around.hook
         if around.links is not None:
+            from aerial_gym.robots.joints.among_obstacles import LinksAmongObstacles
+
             return LinksAmongObstacles(
                 scene,
                 contact,
@@ -90,6 +91,8 @@ class Pushing:
                 crashes_out=around.crashes,
                 moving=around.moving,
             )
+        from aerial_gym.robots.scene_contact import PushedRobot, SceneContact
+
         in_fluid = any(EFFECTS.get(name).kind is FluidEffect for name in robot.effects)
         pushed = PushedRobot(
             mass=mass,

@@ -15,7 +15,8 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.assets import Scene
-from aerial_gym.assets.body_shapes import BodyShape, body_shapes, has_cores
+from aerial_gym.assets.body_shapes import BodyShape, body_shapes
+from aerial_gym.assets.cores import has_cores
 from aerial_gym.assets.motion import move_instance
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene_arrays import SceneArrays

@@ -8,7 +8,7 @@ from aerial_gym.assets import Scene
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.physics import SubstepHook
-from aerial_gym.robots.joints.links import LinkTensors
+from aerial_gym.robots.joints.link_tensors import LinkTensors
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,9 +10,10 @@ import warp as wp
 
 from aerial_gym.assets import Scene
 from aerial_gym.assets.body_shapes import BodyShape
-from aerial_gym.assets.geometry import BOX, Shape, outward_normal, signed_distance
+from aerial_gym.assets.geometry import outward_normal, signed_distance
 from aerial_gym.assets.nearest import Core, Nearest, as_box, nearest_of_core
 from aerial_gym.assets.scene_arrays import SceneArrays, part_attitude, part_is_present, part_position
+from aerial_gym.assets.shape_row import BOX, Shape
 from aerial_gym.assets.views import vector_view
 from aerial_gym.physics.fused.contact import point_velocity, rows_of
 from aerial_gym.physics.fused.functions import rotate

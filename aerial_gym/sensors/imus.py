@@ -4,6 +4,7 @@ Letters: E environments.
 """
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from torch import Tensor
 
@@ -12,8 +13,10 @@ from aerial_gym.interop import with_usual_settings
 from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.registry.state import below
-from aerial_gym.sensors.imu import Imu
 from aerial_gym.sensors.mounts import Carrier, Mounted
+
+if TYPE_CHECKING:
+    from aerial_gym.sensors.imu import Imu
 
 
 @with_usual_settings
@@ -59,7 +62,7 @@ class ImuSet:
                 shape=("E", 6), unit="m/s², rad/s", frame="imu", owner="SensorManager",
                 meaning=_meaning(given.cfg),
             ))  # fmt: skip
-            self.imus[name] = Imu(
+            self.imus[name] = _imu_class()(
                 given.cfg,
                 pose=given.pose,
                 attitude=attitude if carrier is None else carrier.attitude,
@@ -95,6 +98,13 @@ class ImuSet:
         """Begin anew in the environments of ``mask``, bool (E,), from their present state; others stay bit for bit."""
         for imu in self.imus.values():
             imu.reset(mask)
+
+
+def _imu_class() -> "type[Imu]":
+    """Return ``Imu``, imported only where a robot has one, as an import of Warp functions takes long."""
+    from aerial_gym.sensors.imu import Imu
+
+    return Imu
 
 
 def _meaning(cfg: ImuCfg) -> str:

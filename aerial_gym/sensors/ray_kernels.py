@@ -7,7 +7,7 @@ from functools import cache
 
 import warp as wp
 
-from aerial_gym.assets.geometry import MESH
+from aerial_gym.assets.shape_row import MESH
 from aerial_gym.sensors.images import arrays_type
 from aerial_gym.sensors.pixels import Limits, Noise, Outputs, limit_of, make_write_pixel
 from aerial_gym.sensors.shading import Light

@@ -4,6 +4,7 @@ Letters: E environments, S sensors of one kind, H x W pixels.
 """
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -19,7 +20,9 @@ from aerial_gym.registry.state import below
 from aerial_gym.sensors.delay import CLOCK_MARGIN, DelayLine, like, steps_of
 from aerial_gym.sensors.images import declare_images
 from aerial_gym.sensors.mounts import Carrier, Pose
-from aerial_gym.sensors.ray_caster import RayCaster
+
+if TYPE_CHECKING:
+    from aerial_gym.sensors.ray_caster import RayCaster
 
 _OWNER = "SensorManager"
 
@@ -91,7 +94,7 @@ class SensorManager:
             taken = like(seen) if steps else seen
             if steps:
                 self._delay[name] = DelayLine(taken, seen, steps)
-            self.casters[name] = RayCaster(
+            self.casters[name] = _caster_class()(
                 cfg,
                 scene,
                 taken,
@@ -166,3 +169,10 @@ class SensorManager:
             caster.reset(mask)
             if name in self._clock:
                 self._clock[name].masked_fill_(mask, 1.0 / (caster.cfg.rate_hz or 1.0))
+
+
+def _caster_class() -> "type[RayCaster]":
+    """Return ``RayCaster``, imported only where a robot has a range sensor, as an import of Warp functions takes long."""
+    from aerial_gym.sensors.ray_caster import RayCaster
+
+    return RayCaster

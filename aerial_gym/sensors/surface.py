@@ -5,7 +5,7 @@ Frames: a sensor looks along its own x. Letters: E environments, M mounts (senso
 
 import warp as wp
 
-from aerial_gym.assets.geometry import BOX, CAPSULE, CYLINDER, MESH, PLANE
+from aerial_gym.assets.shape_row import BOX, CAPSULE, CYLINDER, MESH, PLANE
 from aerial_gym.sensors.view import View
 
 

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from aerial_gym.assets import Scene
 from aerial_gym.assets.asset_table import asset_table
-from aerial_gym.assets.body_shapes import contact_points
+from aerial_gym.assets.cores import contact_points
 from aerial_gym.assets.obstacles import Obstacles, view_obstacles
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.environment import AssetCfg, MotionCfg

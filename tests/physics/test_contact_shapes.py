@@ -6,7 +6,7 @@ from math import atan2, cos, exp, sin
 import pytest
 import torch
 
-from aerial_gym.assets.body_shapes import contact_points
+from aerial_gym.assets.cores import contact_points
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionShape
 from aerial_gym.config.shape import ShapeCfg

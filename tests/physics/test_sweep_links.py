@@ -18,7 +18,8 @@ from aerial_gym.config.environment import ShapeCfg
 from aerial_gym.config.joint import JointCfg, JointsCfg, LinkCfg
 from aerial_gym.physics import Trajectory
 from aerial_gym.registry import GlobalTensorDictionary
-from aerial_gym.robots.joints.links import LinkTrack, declare_links
+from aerial_gym.robots.joints.link_tensors import declare_links
+from aerial_gym.robots.joints.links import LinkTrack
 from tests.physics.test_sweep import DT, Motion, directions, points_in_hull, points_in_part, random_motion
 
 Array = NDArray[np.float64]

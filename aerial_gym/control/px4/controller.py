@@ -41,9 +41,6 @@ from aerial_gym.physics.vehicle import Vehicle
 OUTER_NUMBERS = 9
 """Integral of velocity (3), velocity before (3), acceleration (3)."""
 
-OF_PX4 = ("position", "velocity", "attitude", "rates")
-"""Laws that PX4's cascade has."""
-
 
 class Px4Controller(RememberingController):
     """``px4_rate_control``, ``px4_attitude_control``, ``px4_velocity_control`` and ``px4_position_control``."""

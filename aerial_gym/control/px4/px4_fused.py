@@ -345,7 +345,7 @@ def maker(
     """Return what composes the cascade for a number of rotors: ``FusedLaw.remembering``.
 
     Args:
-        law_name: Of ``controller.OF_PX4``.
+        law_name: Of ``controllers.OF_PX4``.
         filters: At their rates.
         timing: When levels run.
         layout: Where numbers stand.

@@ -13,7 +13,8 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.assets import Scene
-from aerial_gym.assets.body_shapes import BodyShape, body_shapes, contact_points
+from aerial_gym.assets.body_shapes import BodyShape, body_shapes
+from aerial_gym.assets.cores import contact_points
 from aerial_gym.assets.motion import moving_on
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene_arrays import SceneArrays
@@ -23,7 +24,8 @@ from aerial_gym.errors import CapabilityError
 from aerial_gym.interop import RecordedLaunch, on_torch_stream
 from aerial_gym.physics.integrators import MassState
 from aerial_gym.physics.state import BodyState, JointedState
-from aerial_gym.robots.joints.links import LinkPlaces, LinkTensors
+from aerial_gym.robots.joints.link_tensors import LinkTensors
+from aerial_gym.robots.joints.links import LinkPlaces
 from aerial_gym.robots.touching_pairs import SceneMotion, add_cores, come_fast, find_pairs, scene_motion
 
 

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from aerial_gym.assets import Scene
 from aerial_gym.assets.between_links import pairs_apart
-from aerial_gym.assets.body_shapes import contact_points, core_of
+from aerial_gym.assets.cores import contact_points, core_of
 from aerial_gym.assets.mesh_files import is_convex, load_mesh
 from aerial_gym.assets.shapes import half_size
 from aerial_gym.config.robot import RobotCfg

@@ -1,0 +1,92 @@
+"""Where the links of a robot are, as tensors of the Global Tensor Dictionary; ``links`` writes them.
+
+Frames: world z up; that of a link is the body's in the reference pose. Letters: E environments, L links, the base first.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from torch import Tensor
+
+from aerial_gym.config.checks import Vec3
+from aerial_gym.config.collision import CollisionCfg
+from aerial_gym.config.imu import ImuCfg
+from aerial_gym.config.joint import JointCfg, JointsCfg
+from aerial_gym.config.sensor import RangeSensorCfg
+from aerial_gym.config.shape import BASE
+from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
+from aerial_gym.sensors.mounts import Carrier, Mounted
+
+if TYPE_CHECKING:
+    from aerial_gym.assets.collision import LinkShapes
+    from aerial_gym.physics import Trajectory
+    from aerial_gym.physics.state import JointedState
+    from aerial_gym.robots.joints.links import LinkPlaces
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkTensors:
+    """Where links are, in the GTD."""
+
+    state: Tensor
+    """Position [m], attitude xyzw, velocity [m/s], angular velocity [rad/s] of each link's frame, world, (E, L, 13)."""
+
+    ang_vel: Tensor
+    """Angular velocity [rad/s], axes of the link, (E, L, 3)."""
+
+    names: tuple[str, ...]
+    """Of the links, L of them."""
+
+    pivots: tuple[Vec3, ...]
+    """Point of each link's frame about which it turns [m]: its hinge; the origin of the base and of links that slide."""
+
+    def carriers(self, mounted: Mapping[str, Mounted[RangeSensorCfg] | Mounted[ImuCfg]]) -> dict[str, Carrier]:
+        """Return the links that carry sensors by the names of these; none of sensors on the base."""
+        return {name: self._carrier(self.names.index(each.link)) for name, each in mounted.items() if each.link != BASE}
+
+    def shapes_of(self, collision: CollisionCfg) -> "list[LinkShapes]":
+        """Return the collision shapes on every link but the base, where there are any."""
+        from aerial_gym.assets.collision import LinkShapes
+
+        found = [(number, collision.on(name)) for number, name in enumerate(self.names[1:], 1)]
+        position, attitude = self.state[..., :3], self.state[..., 3:7]
+        return [
+            LinkShapes(shapes=shapes, number=k, position=position[:, k], attitude=attitude[:, k], pivot=self.pivots[k])
+            for k, shapes in found
+            if shapes
+        ]
+
+    def places(self, cfg: JointsCfg, state: "JointedState", trajectory: "Trajectory | None") -> "LinkPlaces":
+        """Return what writes these from the state of a robot, and follows a record that has joints."""
+        from aerial_gym.robots.joints.links import LinkPlaces
+
+        return LinkPlaces(cfg, state, self, trajectory)
+
+    def _carrier(self, number: int) -> Carrier:
+        position, attitude, lin_vel, _ = self.state[:, number].split((3, 4, 3, 3), dim=-1)
+        return Carrier(
+            number=number, position=position, attitude=attitude, lin_vel=lin_vel, ang_vel=self.ang_vel[:, number]
+        )
+
+
+def declare_links(gtd: GlobalTensorDictionary, cfg: JointsCfg) -> LinkTensors:
+    """Declare the links of a robot that bends."""
+    gtd.define_size("L", len(cfg.link_names))
+    names = ", ".join(cfg.link_names)
+    return LinkTensors(
+        names=cfg.link_names,
+        pivots=((0.0, 0.0, 0.0), *(_pivot_of(joint) for joint in cfg.layout)),
+        state=gtd.declare(TensorSpec(
+            key="robot_link_state_tensor", shape=("E", "L", 13), unit="m, -, m/s, rad/s", frame="world", owner="robot",
+            meaning=f"p, q xyzw, v, w of the frames of {names}, each the body's in the reference pose",
+        )),
+        ang_vel=gtd.declare(TensorSpec(
+            key="robot_link_body_angvel", shape=("E", "L", 3), unit="rad/s", frame="link", owner="robot",
+            meaning="angular velocity of each link in its own axes",
+        )),
+    )  # fmt: skip
+
+
+def _pivot_of(joint: JointCfg) -> Vec3:
+    return (0.0, 0.0, 0.0) if joint.kind == "prismatic" else joint.position
