@@ -149,6 +149,21 @@ def test_what_only_tells_imports_nothing_heavy(command: str) -> None:
     assert out.stdout.splitlines()[-1] == "[]"
 
 
+def test_a_plain_vehicle_imports_nothing_that_it_does_not_have() -> None:
+    code = (
+        "import sys; from aerial_gym.task import task_registry; "
+        "task_registry.make_task('position_setpoint_task', num_envs=2, device='cpu'); print(*sys.modules)"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    unneeded = (
+        "assets.clearance", "assets.collision", "assets.geometry", "assets.motion", "assets.track",
+        "control.betaflight", "control.cascade", "control.crazyflie", "control.px4",
+        "physics.articulated", "physics.effects.blade_element", "robots.joints.links", "robots.scene_contact",
+        "sensors.imu", "sensors.ray_caster",
+    )  # fmt: skip
+    assert [name for name in unneeded if f"aerial_gym.{name}" in out.stdout.split()] == []
+
+
 def test_every_name_of_a_package_is_there() -> None:
     """Names that load when first used are in ``__all__``, are what ``dir`` says, and can be loaded."""
     for init in sorted(ROOT.rglob("__init__.py")):

@@ -1,5 +1,6 @@
 """The contract of a physics backend, and the registry in which backends stand by name."""
 
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -7,6 +8,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.math.random import Randomness
+from aerial_gym.physics.effects import EFFECTS, Effect, LearnedResidual
 from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
@@ -30,7 +32,7 @@ class Capabilities:
     differentiable: bool
     """Whether gradients flow through a rollout."""
 
-    effects: tuple[str, ...] | None
+    effects: Collection[str] | None
     """Names of effects it can run; None for every one that has a torch formula."""
 
     lacks: tuple[str, ...] = ()
@@ -47,6 +49,23 @@ class Capabilities:
 
     contact_of_links: bool = False
     """Whether ground and obstacles can push back on bodies that hang on joints, and these on each other."""
+
+
+class EffectsThatRun(Collection[str]):
+    """Names of the effects that can run. An effect is imported when it is asked about: a vehicle has few of them."""
+
+    def __init__(self, can_run: Callable[[Effect], bool]) -> None:
+        self._can_run = can_run
+
+    def __contains__(self, name: object) -> bool:
+        named = isinstance(name, str) and name in EFFECTS and self._can_run(EFFECTS.get(name))
+        return named or name == LearnedResidual.name
+
+    def __iter__(self) -> Iterator[str]:
+        return (name for name in (*EFFECTS.names(), LearnedResidual.name) if name in self)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
 
 
 class ControlLaw(Protocol):

@@ -6,6 +6,7 @@ Frames: body is x forward, y left, z up; world is z up. Letters: E environments,
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from math import inf
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -14,7 +15,6 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.short import inverse_3x3
-from aerial_gym.physics.articulated.articulation import Articulation
 from aerial_gym.physics.effects import (
     EFFECTS,
     DelayEffect,
@@ -29,6 +29,9 @@ from aerial_gym.physics.effects import (
     VehicleEffect,
 )
 from aerial_gym.physics.vehicle import Vehicle, is_shared, share_row
+
+if TYPE_CHECKING:
+    from aerial_gym.physics.articulated.articulation import Articulation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +59,7 @@ class Model:
     other_position: Tensor
     """Another vehicle, whose wake streams down [m], world, (E, 3)."""
 
-    articulation: Articulation | None = None
+    articulation: "Articulation | None" = None
     """How it bends; None for a rigid one. ``vehicle`` is then that of the reference pose."""
 
     def to(self, dtype: torch.dtype) -> "Model":
@@ -86,6 +89,15 @@ class Model:
         return max((effect.longest for effect, _ in self.effects[DelayEffect]), default=0.0)
 
 
+def bends_of(robot: RobotCfg, *, like: Tensor) -> "Articulation | None":
+    """Return what ``articulation_of`` does; of a rigid robot None, without an import of all that moves joints."""
+    if robot.joints is None:
+        return None
+    from aerial_gym.physics.articulated.articulation import articulation_of
+
+    return articulation_of(robot, like=like)
+
+
 def build_model(
     vehicle: Vehicle,
     effects: Sequence[EffectParams] = (),
@@ -94,7 +106,7 @@ def build_model(
     ground_height: float | Tensor = 0.0,
     ceiling_height: float | Tensor | None = None,
     other_position: Tensor | None = None,
-    articulation: Articulation | None = None,
+    articulation: "Articulation | None" = None,
 ) -> Model:
     """Return the model of a declared vehicle with effects added; differentiable in vehicle and parameters.
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from math import nan
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import torch
 from torch import Tensor
@@ -15,9 +15,6 @@ from aerial_gym.config.rotor import ROTOR_TRAITS
 from aerial_gym.errors import CapabilityError
 from aerial_gym.interop.rows import UntraceableError
 from aerial_gym.math.random import Randomness
-from aerial_gym.physics.articulated.flight import check_jointed, jointed_step
-from aerial_gym.physics.articulated.steppers import implicit_euler
-from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.backend import Capabilities, ControlLaw
 from aerial_gym.physics.contact import position_share
 from aerial_gym.physics.effects import FluidEffect, LoadEffect
@@ -46,6 +43,9 @@ from aerial_gym.physics.state import BodyState, JointedState
 from aerial_gym.physics.substep_hook import SubstepHook, check_substeps
 from aerial_gym.physics.torch_rows import SubstepRows
 from aerial_gym.physics.vehicle import is_shared
+
+if TYPE_CHECKING:
+    from aerial_gym.physics.articulated.tree import TreeState
 
 _log = logging.getLogger(__name__)
 
@@ -183,6 +183,8 @@ class TorchBackend:
             known = ", ".join(self.capabilities.integrators)
             raise CapabilityError(f"backend {self.name}: no integrator {integrator!r}. Known: {known}")
         if model.articulation is not None:
+            from aerial_gym.physics.articulated.flight import check_jointed
+
             check_jointed(integrator, ground, self.capabilities)
         self._stepper, self._control, self._ground = self.make_stepper(integrator), control, ground
         self._hook = hook
@@ -195,9 +197,11 @@ class TorchBackend:
         """Return what moves the body in a substep, for one of ``capabilities.integrators``; other engines give their own."""
         return INTEGRATORS[integrator]
 
-    def tree_stepper(self, model: Model, dt: float) -> Callable[..., TreeState]:
+    def tree_stepper(self, model: Model, dt: float) -> "Callable[..., TreeState]":
         """Return what moves the links of a vehicle that bends in a substep of ``dt`` [s]: as ``implicit_euler``."""
         del model, dt
+        from aerial_gym.physics.articulated.steppers import implicit_euler
+
         return implicit_euler
 
     def set_model(self, model: Model) -> None:
@@ -261,6 +265,8 @@ class TorchBackend:
 
     def _jointed_substep(self, state: JointedState, command: Tensor, dt: float) -> JointedState:
         """Return the state after a substep; the last entries of the action are commands of the joints' drives."""
+        from aerial_gym.physics.articulated.flight import jointed_step
+
         memory, model = self._memory_for(dt), self._model
         assert model.articulation is not None
         num_actions = command.shape[1] - model.articulation.num_driven

@@ -16,11 +16,9 @@ from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.interop import RecordedLaunch, compile_ahead, launch_side_by_side, on_torch_stream, split, start_warp
 from aerial_gym.math.draws import random_arrays
 from aerial_gym.math.random import Randomness
-from aerial_gym.physics.articulated.flight import check_jointed
-from aerial_gym.physics.articulated.fused.kernel import make_jointed_kernel
-from aerial_gym.physics.backend import Capabilities, ControlLaw
+from aerial_gym.physics.backend import Capabilities, ControlLaw, EffectsThatRun
 from aerial_gym.physics.contact import position_share
-from aerial_gym.physics.effects import EFFECTS, Effect, FluidEffect, LearnedResidual, LoadEffect
+from aerial_gym.physics.effects import Effect, FluidEffect, LoadEffect
 from aerial_gym.physics.fused.contact import contact_parameters
 from aerial_gym.physics.fused.dynamics import STAGES
 from aerial_gym.physics.fused.gradient import Rollout
@@ -93,13 +91,12 @@ class WarpBackend:
     @property
     def capabilities(self) -> Capabilities:
         """What it can do; effects are those with a Warp twin at this moment."""
-        named = tuple(name for name in EFFECTS.names() if self._can_run(EFFECTS.get(name)))
         return Capabilities(
             devices=("cpu", "cuda"),
             dtypes=(torch.float32,),
             integrators=tuple(STAGES),
             differentiable=self._differentiable,
-            effects=(*named, LearnedResidual.name),
+            effects=EffectsThatRun(self._can_run),
             rotors=ROTOR_TRAITS,
             contact=not self._differentiable,
             joints=not self._differentiable,
@@ -136,6 +133,8 @@ class WarpBackend:
         if model.articulation is not None:
             if self._differentiable:
                 raise CapabilityError("backend warp: a differentiable rollout moves no joints. Use backend 'torch'.")
+            from aerial_gym.physics.articulated.flight import check_jointed
+
             check_jointed(integrator, ground, self.capabilities)
         if isinstance(model.ceiling_height, torch.Tensor):
             raise CapabilityError("backend warp: one height of the ceiling for all. Use backend 'torch'.")
@@ -175,6 +174,8 @@ class WarpBackend:
             rows = max(bends.num_creep * bends.num_joints, 1)
             self._dashpots = torch.full((rows, self._num_envs), nan, device=self._device)
         if model.articulation is not None:
+            from aerial_gym.physics.articulated.fused.kernel import make_jointed_kernel
+
             self.kernel = make_jointed_kernel(model, law, self._packing, num_spheres=num_spheres, hook=fused_hook)
         else:
             self.kernel = make_kernel(

@@ -25,11 +25,10 @@ from aerial_gym.physics import (
     build_model,
     vehicle_from_config,
 )
-from aerial_gym.physics.articulated.articulation import articulation_of
 from aerial_gym.physics.capabilities import choose_backend, needs_of
 from aerial_gym.physics.effects import EffectsByKind, ImuEffect
 from aerial_gym.physics.effects.imu_errors import WIDTH, imu_errors
-from aerial_gym.physics.model import Model, check_effects, robot_effects
+from aerial_gym.physics.model import Model, bends_of, check_effects, robot_effects
 from aerial_gym.physics.rotors import hover_speed
 from aerial_gym.physics.state import JointedState
 from aerial_gym.physics.vehicle import is_shared, own_rows
@@ -92,7 +91,7 @@ class RobotManager:
         self.declared: Vehicle = vehicle_from_config(robot, num_envs=self._num_envs, device=gtd.device)
         self._effects = robot_effects(robot, num_envs=self._num_envs, device=gtd.device, dtype=root_state.dtype)
         self._com = torch.zeros(self._num_envs, 3, device=gtd.device)
-        self.articulation = articulation_of(robot, like=root_state)
+        self.articulation = bends_of(robot, like=root_state)
         """How it bends; None for a rigid robot."""
         pushed = around.contact is not None
         asked = {

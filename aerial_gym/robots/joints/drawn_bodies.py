@@ -3,16 +3,19 @@
 from collections.abc import Sequence
 from itertools import product
 from math import isfinite
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics.articulated.articulation import Articulation
 from aerial_gym.robots.randomized import Randomized
 
+if TYPE_CHECKING:
+    from aerial_gym.physics.articulated.articulation import Articulation
 
-def check_drawn_bodies(randomized: Randomized, articulation: Articulation, params: Sequence[Tensor]) -> None:
+
+def check_drawn_bodies(randomized: Randomized, articulation: "Articulation", params: Sequence[Tensor]) -> None:
     """Raise ``ConfigError`` where a corner of the ranges of ``body.`` leaves a base that flies without mass or inertia.
 
     Args:
