@@ -39,6 +39,9 @@ MOTOR_TAGS: Tags = {name: {} for name in (*_NAMES, *DEFAULTS)}
 
 AERODYNAMICS = {
     "liftdrag": "wings or blades",
+    "fwdynamics": "wings",
+    "fixedwing": "wings",
+    "underwaterobject": "water",
     "thruster": "thruster",
     "lighterthanair": "envelope of a blimp",
     "hydrodynamics": "water",
@@ -77,7 +80,7 @@ def force_left_out(plugin: ElementTree.Element) -> str | None:
     """Return the source of the force that a plugin stands for, or None if a multirotor lacks no such force."""
     name = f"{plugin.get('name', '')} {plugin.get('filename', '')}".lower().replace("_", "").replace("-", "")
     kind = next((what for part, what in AERODYNAMICS.items() if part in name), None)
-    at = plugin.findtext("link_name") or plugin.findtext("joint_name")
+    at = next(filter(None, map(plugin.findtext, ("link_name", "linkName", "joint_name"))), None)
     return None if kind is None else f"{kind} (plugin {plugin.get('name')}, {(at or 'no link named').strip()})"
 
 

@@ -89,9 +89,19 @@ def tilting(kind: str = "revolute", axis: str = "0 1 0") -> str:
 WING = '<gazebo><plugin name="wing" filename="libLiftDragPlugin.so"><link_name>base_link</link_name></plugin></gazebo>'
 
 
+FIXED_WING = WING.replace("libLiftDragPlugin", "librotors_gazebo_fw_dynamics_plugin").replace("link_name", "linkName")
+"""The fixed-wing plugin of rotors_simulator (Furrer and others 2016)."""
+
+
 @pytest.mark.parametrize(
     "text",
-    [tilting(), tilting(axis="0 0 1"), tilting("prismatic", "0 0 1"), cf2x().replace("</robot>", f"{WING}</robot>")],
+    [
+        tilting(),
+        tilting(axis="0 0 1"),
+        tilting("prismatic", "0 0 1"),
+        cf2x().replace("</robot>", f"{WING}</robot>"),
+        cf2x().replace("</robot>", f"{FIXED_WING}</robot>"),
+    ],
 )
 def test_wings_and_tilting_joints_are_losses(text: str, tmp_path: Path) -> None:
     path, out = tmp_path / "robot.urdf", tmp_path / "robot.yaml"
