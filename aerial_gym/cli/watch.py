@@ -62,12 +62,14 @@ class WatchCmd:
 
         numbered, named, interrupted = enumerate(lines, start=1), 0, False
         header = find_header((line for _, line in numbered), "t")
+        if header is None and self.follow:  # restarted before its first line was written
+            return True
         if header is None:
             raise DataError(f"{self.log}: holds no header line")
         name = "flight" if self.log == "-" else Path(self.log).stem
         watch = Watch(robot, header.names, name=name, false_alarm_hours=self.false_alarm_hours)
         try:
-            for alarm in _alarms(watch, header, numbered, self.log):
+            for alarm in _alarms(watch, header, numbered, self.log, refuse=not self.follow):
                 named += alarm.stage == NAMED
                 print(json_line(alarm.as_mapping()) if self.json else alarm.sentence, flush=True)
         except KeyboardInterrupt:
@@ -94,11 +96,13 @@ def _flights(lines: Iterator[str | None]) -> Iterator[Iterator[str]]:
         yield flight()
 
 
-def _alarms(watch: "Watch", header: "CsvHeader", lines: Iterator[tuple[int, str]], log: str) -> "Iterator[Alarm]":
-    """Yield what is told while lines come, and when they end; name the first rows that are left out, and count all.
+def _alarms(
+    watch: "Watch", header: "CsvHeader", lines: Iterator[tuple[int, str]], log: str, *, refuse: bool
+) -> "Iterator[Alarm]":
+    """Yield the alarms while lines come, and when they end; name the first rows that are left out, and count all.
 
     Raises:
-        DataError: If there are rows, and none of them can be used.
+        DataError: If no row can be used, and ``refuse`` is set.
     """
     from aerial_gym.errors import DataError
 
@@ -117,8 +121,9 @@ def _alarms(watch: "Watch", header: "CsvHeader", lines: Iterator[tuple[int, str]
             named += _name_bad(named, f"{log}, by line {number}: {watch.last_bad}")
     yield from watch.ended()
     bad = unreadable + watch.bad_rows
-    if bad and bad == rows:
-        raise DataError(f"{log}: none of its {rows} rows can be used; is it a flight log?")
+    if refuse and bad == rows:
+        found = f"none of its {rows} rows can be used" if rows else "holds no rows"
+        raise DataError(f"{log}: {found}; is it a flight log?")
     if bad:
         print(f"{log}: {bad} of {rows} rows left out", file=sys.stderr)
     if watch.clock_steps:

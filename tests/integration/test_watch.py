@@ -60,14 +60,19 @@ def test_a_file_that_is_not_there_or_no_log_is_a_wrong_request(
 ) -> None:
     assert main(["watch", str(files.robot), str(tmp_path / "none.csv")]) == 2
     assert "no such file. Give a flight log" in capsys.readouterr().err
-    header = files.test[0].read_text().splitlines()[0]
+    header, *rows = files.test[0].read_text().splitlines()[:100]
+    no_time = "\n".join([header, *(row[row.index(",") :] for row in rows)]).encode()
+    twice = "\n".join([f"{header},q_x", *(f"{row},0" for row in rows)]).encode()
     for number, content in enumerate(
-        (b"", b"\n", b"a,b\n1,2\n", f"{header}\n1,2,three\n".encode(), bytes(300), b"ULog\x01\x12\x35\x01")
+        (
+            *(b"", b"\n", b"a,b\n1,2\n", f"{header}\n1,2,three\n".encode(), bytes(300), b"ULog\x01\x12\x35\x01"),
+            *(header.encode(), f"{header}\n\n".encode(), "\n".join([header, *50 * rows[:1]]).encode(), no_time, twice),
+        )
     ):
         wrong = tmp_path / f"wrong{number}.csv"
         wrong.write_bytes(content)
         assert main(["watch", str(files.robot), str(wrong)]) == 2
-        assert capsys.readouterr().err.count("\n") <= 2
+        assert capsys.readouterr().err.count("\n") <= 4
     assert main(["watch", str(files.robot), str(tmp_path)]) == 2
 
 
@@ -81,9 +86,19 @@ def test_a_followed_log_that_begins_anew_is_watched_as_another_flight(
     def stop() -> None:
         raise KeyboardInterrupt
 
-    steps = iter([lambda: log.write_text(""), lambda: log.write_bytes(failing.read_bytes())])
+    steps = iter(
+        [
+            lambda: log.write_text(""),
+            lambda: log.rename(tmp_path / "old.csv"),
+            lambda: log.write_text(""),  # another file that has no header yet
+            lambda: log.rename(tmp_path / "older.csv"),
+            lambda: log.write_bytes(failing.read_bytes().splitlines(keepends=True)[0]),  # no row
+            lambda: log.write_text(""),
+            lambda: log.write_bytes(failing.read_bytes()),
+        ]
+    )
     monkeypatch.setattr("aerial_gym.sim2real.logs.readers.follow.time.sleep", lambda _: next(steps, stop)())
     assert main(["watch", str(files.robot), str(log), "--follow", "--json"]) == 0
     out, err = capsys.readouterr()
     assert [json.loads(line)["name"] for line in out.splitlines()][-1] == "motor_failure"
-    assert err.count("watched") == 2 + err.count("watched from")
+    assert err.count("watched 8.0 s") == 2

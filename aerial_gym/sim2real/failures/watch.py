@@ -107,7 +107,7 @@ class Watch:
         """Take the declared robot and the names of the columns.
 
         Raises:
-            DataError: If a column that is needed is not there.
+            DataError: If a column that is needed is not there, or one that is used appears twice.
         """
         self._robot, self._name, self._place = robot, name, {column.strip(): k for k, column in enumerate(header)}
         self._finder = FailureFinder(robot, false_alarm_hours=false_alarm_hours)
@@ -118,6 +118,9 @@ class Watch:
             for quantity, names in (COLUMNS | rotors).items()
             if all(name in self._place for name in names)
         }
+        used = {"t", *(name for names in (COLUMNS | rotors).values() for name in names)}
+        if twice := sorted(column for column in used if [name.strip() for name in header].count(column) > 1):
+            raise DataError(f"{name}: column {twice[0]!r} appears twice in the header; rename or remove one of them")
         if lacking := [column for column in ("t", *STATE) if column not in self._place]:
             raise DataError(f"{name}: no column {lacking[0]!r}; a log that is watched needs t, {', '.join(STATE)}")
         if self._columns.keys().isdisjoint(rotors):

@@ -228,7 +228,7 @@ def _fill(numbers: Array, quantity: ColumnsCfg, time: Array, where: Callable[[in
 
 def not_there(column: str, known: list[str], path: str) -> str:
     """Return what is said of a column that a file lacks, with the nearest of those that it has and the way out."""
-    near = get_close_matches(column, known, n=1)
+    near = get_close_matches(column, [name for name in known if name != column], n=1)
     hint = f" Did you mean {near[0]!r}?" if near else ""
     return f"{path}: column {column!r} is missing or empty.{hint}{mapping_hint(known)}"
 

@@ -6,7 +6,7 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.recording import LONGEST_GAP_S, gap_limit
 
 CONFIRMED = 10
-"""So many rows that go on from each other show that a gap, or a step of the clock, is real."""
+"""So many rows that go on from each other show that the first rows, a gap, or a step of the clock are real."""
 
 
 class LiveStamps:
@@ -31,7 +31,7 @@ class LiveStamps:
             place: Index of its time stamp [s] among them.
         """
         stamp = float(row[place])
-        if self._last is None or 0.0 < stamp - self._last <= self._limit:
+        if self._last is not None and 0.0 < stamp - self._last <= self._limit:
             self.end(place)
             return [self._passed(row, place)]
         if self._doubtful and not 0.0 < stamp - self._doubtful[-1][place] <= self._limit:
@@ -43,7 +43,7 @@ class LiveStamps:
         if len(self._doubtful) < CONFIRMED:
             return []
         good, self._doubtful = self._doubtful, []
-        if good[0][place] <= self._last:
+        if self._last is not None and good[0][place] <= self._last:
             self._shift += self._last - float(good[0][place]) + (median(self._steps) if self._steps else 0.0)
             self.steps += 1
         return [self._passed(one, place) for one in good]

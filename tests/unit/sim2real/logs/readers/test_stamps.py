@@ -137,3 +137,19 @@ def test_rows_that_come_one_by_one_go_on_after_a_gap_and_a_step_of_the_clock() -
     good = np.array([row[0] for stamp in stamps for row in live.add(np.array([stamp]), 0)])
     assert (live.steps, live.bad) == (1, [])
     np.testing.assert_allclose(good, TRUE + 5.0 * (np.arange(ROWS) >= 500), atol=1e-9)
+
+
+@pytest.mark.parametrize("first", [[np.nan], [0.0], [0.0, 0.0, 0.0], [1e18], [-1e18, np.nan], [1.7e9, 0.0]])
+def test_rows_that_come_one_by_one_lose_bad_stamps_at_the_beginning(first: list[float]) -> None:
+    stamps, live = TRUE + 1e9, LiveStamps()
+    good = [row[0] for stamp in [*first, *stamps] for row in live.add(np.array([stamp]), 0)]
+    np.testing.assert_array_equal(good, stamps)
+    assert (len(live.bad), live.steps) == (len(first), 0)
+
+
+@pytest.mark.parametrize("stamp", [np.nan, 3.0, 1e300])
+def test_a_clock_that_never_goes_on_gives_no_row(stamp: float) -> None:
+    live = LiveStamps()
+    assert [row for _ in range(50) for row in live.add(np.array([stamp]), 0)] == []
+    live.end(0)
+    assert len(live.bad) == 50
