@@ -3,6 +3,7 @@
 Letters: T rows, R rotors.
 """
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
@@ -120,7 +121,7 @@ def load_flights(
             seen.add(raw)
             log = mended_log(raw)
             read[real] = (with_velocity(log), check_log(log, robot))
-    first = {Path(path).resolve() for path in paths[:learning]}
+    first = {Path(os.path.realpath(path)) for path in paths[:learning]}
     logs, learned = [log for log, _ in read.values()], sum(real in first for real in read)
     offsets = clock_offsets(logs, robot, bandwidth, learned)
     together = commands_share_clock(logs[:learned], offsets[:learned], mean_lag(robot))
@@ -155,7 +156,7 @@ def distinct_files(paths: Sequence[str | Path]) -> dict[Path, str | Path]:
     """Return the paths by the files that they name; refuse a file that is named twice."""
     seen: dict[Path, str | Path] = {}
     for path in paths:
-        real = Path(path).resolve()
+        real = Path(os.path.realpath(path))  # unlike Path.resolve, a loop of links is no error before it is opened
         if real in seen:
             raise DataError(f"{path}: is given twice (also as {seen[real]}); a flight is for training or for testing")
         seen[real] = path

@@ -14,7 +14,7 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog
 
 SURPRISE = 1e-3
-"""The motion does not go on across a step of the clock if fewer of the other rows have a larger error than this share."""
+"""Share of rows whose errors may be larger than the one that an error across a step of the clock is compared with."""
 
 WINDOW_ROWS = 50
 """Rows that are judged together: errors of one course then differ by a tenth between lags."""
@@ -29,16 +29,19 @@ APART = 3.0
 def check_clock_steps(log: FlightLog, times: Sequence[float]) -> None:
     """Raise ``DataError`` if the motion does not go on where the clock was corrected, at these times [s].
 
-    The error of the motion there is compared with that of all other rows.
+    The error of the motion there is compared with that of all other rows that are as far apart in time.
     """
     rows = np.searchsorted(log.time, times)
     rows = rows[(rows > 0) & (rows < log.time.size)]
     if not rows.size:
         return
-    others = np.delete(np.arange(log.time.size - 1), rows - 1)
-    for name, errors in motion_errors(log, 1).items():
-        for row in rows.tolist():
-            if np.mean(errors[others] >= errors[row - 1]) < SURPRISE:
+    passed, found = np.diff(log.time), motion_errors(log, 1)
+    lags = np.rint(passed[rows - 1] / np.median(passed)).astype(int).clip(1, log.time.size - 1)
+    for row, lag in zip(rows.tolist(), lags.tolist(), strict=True):
+        first = np.arange(log.time.size - lag)
+        others = ~((first[:, None] < rows) & (rows <= first[:, None] + lag)).any(axis=1)
+        for name, errors in motion_errors(log, lag).items():
+            if others.any() and found[name][row - 1] > APART * np.quantile(errors[others], 1.0 - SURPRISE):
                 raise DataError(
                     f"{log.where(row)}: the clock was set back there, and the {name} does not go on from the row before: rows "
                     "are missing, or another flight begins; cut the log there and give both parts as flights"

@@ -136,7 +136,13 @@ def _is_far(stamps: Array, rows: Indices, step: float) -> Flags:
     off = np.abs(late - ndimage.median_filter(late, size=2 * width + 1, mode="mirror"))
     place = np.arange(rows.size)
     at_end = (place < width) | (place >= rows.size - width)
-    return (off > limit) & (_out_of_order(stamps, width) | at_end)
+    far = (off > limit) & (_out_of_order(stamps, width) | at_end)
+    good = np.flatnonzero(~far)
+    if not good.size:
+        return far
+    after = np.searchsorted(good, place)  # a bad stamp beside a step of the clock moves the median over the step
+    around = good[np.stack((np.maximum(after - 1, 0), np.minimum(after, good.size - 1)))]
+    return far & (np.abs(late - late[around]) > limit).all(axis=0)
 
 
 def _is_near(stamps: Array, rows: Indices, step: float) -> Flags:

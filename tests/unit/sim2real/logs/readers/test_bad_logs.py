@@ -260,3 +260,20 @@ def test_topics_that_are_needed_are_named_where_their_stamps_are_bad(table: pd.D
     log = read_flight_log(write_ulog(tmp_path / "c.ulg", changed("battery_status", lambda t: 0 * t, table)))
     assert log.battery is None
     assert find_mapping("px4_ulog").battery is not None
+
+
+@pytest.mark.parametrize("lost", [1, 2, 5])
+def test_rows_lost_beside_a_step_of_the_clock_do_not_make_the_motion_another(
+    lost: int, table: pd.DataFrame, tmp_path: Path
+) -> None:
+    for row in range(110, 700, 60):
+        broken = set_back(table, row)
+        broken.loc[row - lost : row - 1, "t"] = -7.0
+        log = read_flight_log(write(broken, tmp_path / "a.csv"))
+        check_rows(log, table.drop(index=range(row - lost, row)))
+
+
+def test_a_loop_of_links_is_a_file_that_cannot_be_read(tmp_path: Path) -> None:
+    (tmp_path / "loop.csv").symlink_to(tmp_path / "loop.csv")
+    with pytest.raises(DataError):
+        load_flights([tmp_path / "loop.csv"], ROBOT, mapping=None, bandwidth=10.0)

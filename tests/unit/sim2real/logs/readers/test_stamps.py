@@ -153,3 +153,14 @@ def test_a_clock_that_never_goes_on_gives_no_row(stamp: float) -> None:
     assert [row for _ in range(50) for row in live.add(np.array([stamp]), 0)] == []
     live.end(0)
     assert len(live.bad) == 50
+
+
+@pytest.mark.parametrize("value", [0.0, -5.0, np.nan, 1e9])
+@pytest.mark.parametrize("beside", [[-1], [0], [-4], [3], [-9, -5, 7], [1, 2, 3, 4, 5, 6]])
+def test_bad_stamps_near_a_step_of_the_clock_cost_no_other_row(beside: list[int], value: float) -> None:
+    stamps, bad = TRUE - 2.0 * (np.arange(ROWS) >= 900), [900 + row for row in beside]
+    stamps[bad] = value
+    found = checked_stamps(stamps, "a")
+    np.testing.assert_array_equal(np.flatnonzero(~found.kept), bad)
+    np.testing.assert_allclose(found.time, np.delete(TRUE, bad), atol=1e-9)
+    assert len(found.steps) == 1
