@@ -68,23 +68,6 @@ def body_distance(
     return nearest
 
 
-@wp.func
-def body_reach_in_step(
-    body: wp.array[BodyShape], position: wp.array2d[wp.vec3], attitude: wp.array2d[wp.quat], env: int, last: int
-) -> float:
-    """Return the largest distance of a point of a core from its last place at any of the poses of a step [m]."""
-    reach = wp.float32(0.0)
-    for c in range(body.shape[0]):
-        own = body[c]
-        end = position[last, env] + wp.quat_rotate(attitude[last, env], own.center)
-        for k in range(last):
-            place = position[k, env] + wp.quat_rotate(attitude[k, env], own.center)
-            turned = wp.quat_inverse(attitude[last, env]) * attitude[k, env]
-            chord = 2.0 * wp.length(wp.vec3(turned[0], turned[1], turned[2])) * (own.reach - own.radius)
-            reach = wp.max(reach, wp.length(place - end) + chord)
-    return reach
-
-
 def body_shapes(shapes: Sequence[CollisionShape], *, device: torch.device) -> wp.array:
     """Return the shapes as a kernel takes them, (C,) of ``BodyShape``."""
     rows = []

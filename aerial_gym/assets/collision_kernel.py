@@ -1,13 +1,13 @@
 """The kernel of the collision test: moves the obstacles, sweeps the robot's shapes against them and measures the distance.
 
-A block of threads takes an environment, and each thread takes some of the parts. It follows a part through the substeps:
-moves the instance that carries it, sweeps the robot's shapes from pose to pose (``sweep``), and measures the distance at the
-last pose. On the CPU a block is one thread, which skips parts beyond the nearest distance so far.
+A block of threads takes an environment, and each thread takes some of the parts. It moves the instance of a part that moves
+through the substeps and sweeps the robot's shapes against it (``sweep``). It then measures the distance of each part at the
+last pose, except where a nearer part is known. On the CPU a block is one thread.
 
-Parts at rest are measured at the last pose first. Signed distance changes by no more than the point moves. A part whose
-distance exceeds the motion of the step is therefore not swept. The sign of a mesh comes from a winding number and may jump,
-so a mesh is skipped by its bounding sphere alone, and its sign is tested at every pose. There are kernels of their own
-without boxes and capsules, without meshes, and without obstacles that move.
+Parts at rest are swept afterwards, by the threads whose nearest part is not farther than the robot went in the step: signed
+distance changes by no more than the point moves. Each thread of a block bounds the way from one of the poses. The sign of a
+mesh comes from a winding number and may jump, so a mesh is skipped by its bounding sphere alone, and its sign is tested at
+every pose. There are kernels of their own without boxes and capsules, without meshes, and without obstacles that move.
 Frames: centres of shapes in the body frame, poses in the environment's world frame. Letters: E environments, A instances, P
 parts of all instances, C shapes, K substeps.
 """
@@ -17,16 +17,18 @@ from typing import Any
 
 import warp as wp
 
-from aerial_gym.assets.body_shapes import BodyShape, body_distance, body_reach_in_step
+from aerial_gym.assets.body_shapes import BodyShape, body_distance
 from aerial_gym.assets.geometry import primitive_distance, signed_distance
 from aerial_gym.assets.motion import instance_moves, move_instance, moved
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene_arrays import ABSENT_BELOW, WORLD, SceneArrays
 from aerial_gym.assets.shape_row import MESH, Shape
-from aerial_gym.assets.sweep import largest_bow, make_meets_moving, make_meets_still, path_between
+from aerial_gym.assets.sweep import bow_between, make_meets_moving, make_meets_still, path_between
+from aerial_gym.assets.sweep_spheres import balls_meet_still
 
-REGISTERS = 168
-"""Of a thread of the smallest kernel, which needs no more: six blocks of 64 threads then share a multiprocessor of 65,536."""
+REGISTERS = 96
+"""Of a thread of the smallest kernel: ten blocks of 64 threads then share a multiprocessor of 65,536. The sweep alone needs
+more, and few threads sweep."""
 
 MARGIN = wp.constant(1.0e-3)
 """Room for float32 rounding [m] when a part is passed over for being farther than the robot went: places up to 1 km from the
@@ -73,16 +75,28 @@ def _make_gap(*, meshes: bool) -> wp.Function:
 
 
 @wp.func
-def _reach(
-    sphere: wp.array[wp.vec4], position: wp.array2d[wp.vec3], attitude: wp.array2d[wp.quat], env: int, last: int
-) -> float:
-    """Return the largest distance of a sphere's centre from its last place at any of the poses of a step [m]."""
-    reach = float(wp.static(0.0))
-    for c in range(sphere.shape[0]):
-        end = _sphere_center(sphere[c], position[last, env], attitude[last, env])
-        for k in range(last):
-            reach = wp.max(reach, wp.length(_sphere_center(sphere[c], position[k, env], attitude[k, env]) - end))
-    return reach
+def _part(scene: SceneArrays, env: int, part: int):  # fmt: skip
+    """Return row of the shape, instance and pose of the frame that carries it; row -1 of a part that is absent."""
+    row = scene.part_shape[env, part]
+    a = scene.part_instance[env, part]
+    x = wp.vec3()
+    q = wp.quat_identity()
+    if row >= 0 and a != WORLD:
+        x = scene.position[env, a]
+        q = scene.attitude[env, a]
+    if x[2] <= ABSENT_BELOW:
+        row = -1
+    return row, a, x, q
+
+
+@wp.func
+def _way_from(position: wp.array2d[wp.vec3], attitude: wp.array2d[wp.quat], hull: float, env: int, k: int) -> float:
+    """Return a bound of the distance of a point of the hull at pose k from its place at the last pose [m]."""
+    last = position.shape[0] - 1
+    ahead = attitude[last, env] - attitude[k, env]
+    behind = attitude[last, env] + attitude[k, env]  # -q is the same attitude as q
+    chord = 2.0 * wp.sqrt(wp.min(wp.dot(ahead, ahead), wp.dot(behind, behind)))  # 4 sin(angle / 4) >= 2 sin(angle / 2)
+    return wp.length(position[k, env] - position[last, env]) + hull * chord
 
 
 @cache
@@ -97,13 +111,10 @@ def make_walk(*, moves: bool, shared: bool, cores: bool, meshes: bool) -> wp.Ker
         meshes: Whether any part is a mesh.
     """
     body_type = wp.array[BodyShape] if cores else wp.array[wp.vec4]
-    gap_of, reach_of = (body_distance, body_reach_in_step) if cores else (_make_gap(meshes=meshes), _reach)
+    gap_of = body_distance if cores else _make_gap(meshes=meshes)
     obstacles_type: Any = Obstacles if moves else NoObstacles
-    meets_still, meets_moving = (
-        make_meets_still(cores=cores, meshes=meshes),
-        make_meets_moving(cores=cores, meshes=meshes),
-    )
-
+    meets_still = make_meets_still(cores=cores, meshes=meshes) if cores or meshes else balls_meet_still
+    meets_moving = make_meets_moving(cores=cores, meshes=meshes)
     lean = not (moves or cores or meshes)
 
     @wp.kernel(module="unique", enable_backward=False, cuda_max_registers=REGISTERS if lean else None)
@@ -133,21 +144,16 @@ def make_walk(*, moves: bool, shared: bool, cores: bool, meshes: bool) -> wp.Ker
         last = position.shape[0] - 1
         nearest = float(wp.inf)
         touches = wp.bool(False)
-        bow = (hull + wp.length(pivot)) * largest_bow(attitude, env)
-        reach = reach_of(body, position, attitude, env, last) + bow + MARGIN
+        reach = wp.float32(0.0)
+        for k in range(lane, last, wp.block_dim()):
+            ends = wp.max(_way_from(position, attitude, hull, env, k), _way_from(position, attitude, hull, env, k + 1))
+            bow = (hull + wp.length(pivot)) * bow_between(attitude[k, env], attitude[k + 1, env])
+            reach = wp.max(reach, ends + bow + MARGIN)
         for part in range(lane, scene.num_solid, wp.block_dim()):
-            row = scene.part_shape[env, part]
-            a = scene.part_instance[env, part]
-            x = wp.vec3()
-            q = wp.quat_identity()
-            if row >= 0 and a != WORLD:
-                x = scene.position[env, a]
-                q = scene.attitude[env, a]
-            if row >= 0 and x[2] > ABSENT_BELOW:
-                swept = wp.where(last > 0, reach, 0.0)
+            row, a, x, q = _part(scene, env, part)
+            if row >= 0:
                 if wp.static(moves):  # noqa: SIM102 (only what stands alone is static)
                     if a != WORLD and is_step and instance_moves(obstacles_out, env, a):
-                        swept = 0.0
                         v = obstacles_out.lin_vel[env, a]
                         for k in range(last):
                             path = path_between(
@@ -177,26 +183,38 @@ def make_walk(*, moves: bool, shared: bool, cores: bool, meshes: bool) -> wp.Ker
                                         touches = gap_of(shape, origin, turn, body, p, attitude[k, env], 0.0) < 0.0
                             x, q, v = moved(obstacles_out, env, a, x, q, v, dt)
                 p = position[last, env]
-                gap = wp.max(nearest, swept)
                 origin = x + wp.quat_rotate(q, scene.shapes[row].position)
-                if wp.length(p - origin) - scene.radius[env, part] - hull < gap:
+                if wp.length(p - origin) - scene.radius[env, part] - hull < nearest:
                     shape = scene.shapes[row]
-                    gap = gap_of(shape, origin, q * shape.attitude, body, p, attitude[last, env], gap)
-                    nearest = wp.min(nearest, gap)
-                    touches = touches or gap < 0.0
-                must_sweep = gap < swept
-                if wp.static(meshes):
-                    must_sweep = swept > 0.0 and (must_sweep or scene.shapes[row].kind == MESH)
-                if must_sweep and not touches:
+                    nearest = gap_of(shape, origin, q * shape.attitude, body, p, attitude[last, env], nearest)
+        touches = touches or nearest < 0.0
+        if wp.static(shared):
+            reach = wp.tile_max(wp.tile(reach))[0]
+        may_meet = is_step and not touches and nearest < reach
+        if wp.static(meshes):
+            may_meet = is_step and not touches
+        if may_meet:
+            for part in range(lane, scene.num_solid, wp.block_dim()):
+                row, a, x, q = _part(scene, env, part)
+                rests = row >= 0 and not touches
+                if wp.static(moves):
+                    rests = rests and not (a != WORLD and instance_moves(obstacles_out, env, a))
+                if rests:
                     shape = scene.shapes[row]
                     radius = scene.radius[env, part]
-                    touches = meets_still(shape, x, q, radius, body, hull, pivot, position, attitude, env)
-                    if wp.static(meshes) and shape.kind == MESH:
-                        for k in range(last):
-                            p = position[k, env]
-                            if not touches and wp.length(p - origin) - radius - hull < 0.0:
-                                at = gap_of(shape, origin, q * shape.attitude, body, p, attitude[k, env], 0.0)
-                                touches = at < 0.0
+                    origin = x + wp.quat_rotate(q, shape.position)
+                    offset = position[last, env] - origin
+                    apart = wp.length(offset) - radius
+                    if wp.static(cores):  # whose sweep costs more
+                        apart = wp.max(apart, primitive_distance(shape, wp.quat_rotate_inv(q * shape.attitude, offset)))
+                    if apart - hull < reach:
+                        touches = meets_still(shape, x, q, radius, body, hull, pivot, position, attitude, env)
+                        if wp.static(meshes) and shape.kind == MESH:
+                            for k in range(last):
+                                p = position[k, env]
+                                if not touches and wp.length(p - origin) - radius - hull < 0.0:
+                                    at = gap_of(shape, origin, q * shape.attitude, body, p, attitude[k, env], 0.0)
+                                    touches = at < 0.0
         if touches and is_step:
             crashes_out[env] = True
         least = nearest

@@ -72,21 +72,12 @@ def bow_between(q0: wp.quat, q1: wp.quat) -> float:
 
 
 @wp.func
-def largest_bow(attitude: wp.array2d[wp.quat], env: int) -> float:
-    """Return the largest such share between two poses in a row, (K + 1, E)."""
-    found = wp.float32(0.0)
-    for k in range(attitude.shape[0] - 1):
-        found = wp.max(found, bow_between(attitude[k, env], attitude[k + 1, env]))
-    return found
-
-
-@wp.func
 def _attitude_at(path: Path, t: float) -> wp.quat:
     return wp.quat_from_axis_angle(wp.normalize(path.turn), t * wp.length(path.turn)) * path.attitude
 
 
 @wp.func
-def _time_to_plane(height: float, speed: float, acc: float) -> float:
+def time_to_plane(height: float, speed: float, acc: float) -> float:
     """Return the first time at which a point may reach a plane: the root of ``height = speed t + acc t²/2``, inf for none."""
     root = wp.sqrt(speed * speed + 2.0 * acc * height)
     if speed > 0.0:
@@ -137,7 +128,7 @@ def _time_of_corner(
     bend = wp.length(wp.cross(outward, path.turn)) + wp.length(path.turn) * other_spin
     apparent = other_spin * (2.0 * (wp.length(drift) + wp.length(sweep)) + other_spin * span)
     safe = wp.max(height - 0.5 * slack, 0.5 * wp.max(height, 0.0))  # the rest is room for rounding
-    return _time_to_plane(safe, speed, bend * wp.length(sweep) + apparent)
+    return time_to_plane(safe, speed, bend * wp.length(sweep) + apparent)
 
 
 @cache
