@@ -17,7 +17,13 @@ def begin() -> None:
     _started = time.perf_counter() - time.process_time()  # the interpreter's own start counts
     keep_bytecode()
     if sys.argv[1:2] == ["train"]:
-        preload(sys.argv[sys.argv.index("--device") + 1] if "--device" in sys.argv[:-1] else None)
+        preload(_device_in(sys.argv))
+
+
+def _device_in(argv: list[str]) -> str | None:
+    """Return the device of a command line, given as ``--device NAME`` or ``--device=NAME``; None without one."""
+    words = [part for word in argv for part in word.split("=", 1)]
+    return words[words.index("--device") + 1] if "--device" in words[:-1] else None
 
 
 def started_at() -> float:

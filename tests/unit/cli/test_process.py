@@ -67,7 +67,13 @@ def test_a_command_counts_from_the_start_of_its_process(monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize(
-    ("argv", "device"), [(["train"], None), (["train", "--device", "cpu"], "cpu"), (["train", "--device"], None)]
+    ("argv", "device"),
+    [
+        (["train"], None),
+        (["train", "--device", "cpu"], "cpu"),
+        (["train", "--device=cpu"], "cpu"),
+        (["train", "--device"], None),
+    ],
 )
 def test_a_training_loads_libraries_for_its_device(
     argv: list[str], device: str | None, monkeypatch: pytest.MonkeyPatch
