@@ -149,7 +149,8 @@ class Allocation:
         low, high = _thrust_limits(vehicle)
         self.vehicle, self.saturation, self.effectiveness = vehicle, saturation, effectiveness
         if is_shared(vehicle.mass):  # a declared vehicle is the same everywhere
-            self.inverse = share_row(pseudo_inverse(asked[0]), vehicle.num_envs)  # (E, R, 6)
+            inverse = pseudo_inverse(asked[0].cpu()).to(asked.device)  # the first decomposition on a GPU takes 0.5 s
+            self.inverse = share_row(inverse, vehicle.num_envs)  # (E, R, 6)
             self.low, self.high = (share_row(limit[0], vehicle.num_envs) for limit in (low, high))
         else:
             self.inverse, self.low, self.high = pseudo_inverse(asked), low, high

@@ -76,11 +76,12 @@ class Actuation:
 
 
 def actuation_of(matrix: Tensor) -> Actuation:
-    """Return what is asked of the rotors of one vehicle, from its effectiveness matrix (6, R).
+    """Return the forces and torques that one vehicle's rotors can give independently, from its effectiveness matrix (6, R).
 
-    An axis is asked for where enough of it, in the range of the matrix, is orthogonal to those that matter more.
+    An axis counts if enough of it, in the range of the matrix, is orthogonal to the axes of higher priority. The CPU computes
+    this: a GPU loads its library of linear algebra at the first decomposition, which takes 0.5 s.
     """
-    exact = matrix.detach().double()
+    exact = matrix.detach().double().cpu()
     left, size, _ = torch.linalg.svd(exact, full_matrices=False)
     span = left[:, size > max(exact.shape) * torch.finfo(torch.float32).eps * size[0]]  # as torch.linalg.pinv has it
     directions, axes = exact.new_zeros(0, span.shape[1]), []

@@ -207,7 +207,7 @@ def vehicle_from_config(
 
 def _check_numbers(vehicle: Vehicle) -> None:
     """Raise ``ConfigError`` where a number of the robot file is too large or too small for the float32 of the kernels."""
-    first = {name: rows[:1].float() for name, rows in vehicle.rows().items()}
+    first = {name: rows[:1].float().cpu() for name, rows in vehicle.rows().items()}
     for name, row in first.items():
         may_lack = name.startswith("slew_rate") or name in ("rotor_radius", "battery")
         if not may_lack and not bool(row.isfinite().all()):
