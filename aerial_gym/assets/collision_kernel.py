@@ -27,8 +27,10 @@ from aerial_gym.assets.sweep import bow_between, make_meets_moving, make_meets_s
 from aerial_gym.assets.sweep_spheres import balls_meet_still
 
 REGISTERS = 96
-"""Largest number of registers of a thread of the smallest kernel: ten blocks of 64 threads then share a multiprocessor, which has
-65,536. On an H200, 64 to 128 registers take the same time within 5 %; without a limit the kernel takes 168 registers."""
+"""Registers of a thread of the smallest kernel, at most: ten blocks of 64 threads then share a multiprocessor of 65,536.
+
+On an H200, 64 to 128 registers take the same time within 5 %. Without a limit the kernel takes 168.
+"""
 
 MARGIN = wp.constant(1.0e-3)
 """Room for float32 rounding [m] when a part is passed over for being farther than the robot went: places up to 1 km from the
