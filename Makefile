@@ -6,7 +6,7 @@ BIN := .venv/bin
 # Compiled once: without this, where bytecode is not to be written, each process compiles PyTorch anew, which takes 7 s.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-slow kill-test fuzz undeclared lint format clean
+.PHONY: setup demo test test-slow golden golden-update kill-test fuzz undeclared lint format clean
 setup: .venv/ready
 
 .venv/ready: pyproject.toml constraints.txt
@@ -22,6 +22,14 @@ test: setup
 
 test-slow: setup
 	$(BIN)/python -m pytest -m slow
+
+# Minutes: compares results of the whole package with tests/golden/reference. TOPICS: interface releases cases tasks.
+TOPICS ?=
+golden: setup
+	$(BIN)/python -m tests.golden $(TOPICS)
+
+golden-update: setup
+	$(BIN)/python -m tests.golden $(TOPICS) --update
 
 # A quarter of an hour: trainings killed at random moments, each of which must go on.
 KILLS ?= 50

@@ -1,0 +1,69 @@
+"""``python -m tests.golden [TOPIC ...]``: compare golden results with the reference files; ``--update`` rewrites these."""
+
+import argparse
+import os
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from tests.golden.compare import RELATIVE, differences, is_machine_bound, read, write
+from tests.golden.worker import machine, measure_all
+
+REFERENCE = Path(__file__).parent / "reference"
+
+TOPICS = ("interface", "releases", "cases", "tasks")
+"""Modules of this package with ``items``, ``measure`` and ``TOLERANCE_ELSEWHERE``."""
+
+
+def report(topic: str, items: dict[str, Any], names: dict[str, bool], *, whole: bool) -> bool:
+    """Print the differences of a topic from its reference; return whether there are none that count."""
+    reference = read(REFERENCE / f"{topic}.json")
+    same = reference["machine"] == machine()
+    elsewhere = import_module(f"tests.golden.{topic}").TOLERANCE_ELSEWHERE
+    old = {name: part for name, part in reference["items"].items() if name in items or (whole and name not in names)}
+    lines = list(differences(old, items, topic, relative=RELATIVE if same else max(elsewhere, RELATIVE)))
+    counted = [line for line in lines if same or not is_machine_bound(line)]
+    for line in counted:
+        print(line)
+    if notes := len(lines) - len(counted):
+        print(f"{topic}: {notes} differences by rounding only, on another machine than {reference['machine']}")
+    return not counted
+
+
+def main() -> int:
+    """Run the command; return 0 if nothing differs, else 1."""
+    parser = argparse.ArgumentParser(prog="python -m tests.golden", description=__doc__)
+    parser.add_argument("topics", nargs="*", choices=[[], *TOPICS], help="all if not given")
+    parser.add_argument("--update", action="store_true", help="write the reference files")
+    parser.add_argument("--quick", action="store_true", help="only the items that run with every test run")
+    parser.add_argument("--only", help="only items whose name contains this text")
+    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="processes side by side")
+    args = parser.parse_args()
+    topics = args.topics or list(TOPICS)
+    names = {topic: import_module(f"tests.golden.{topic}").items() for topic in topics}
+    jobs = [
+        (topic, item)
+        for topic in topics
+        for item, quick in names[topic].items()
+        if (quick or not args.quick) and (not args.only or args.only in item)
+    ]
+    whole = not args.quick and not args.only
+    found: dict[str, dict[str, Any]] = {topic: {} for topic in topics}
+    spent = dict.fromkeys(topics, 0.0)
+    for topic, item, result, seconds in measure_all(jobs, args.jobs):
+        found[topic][item] = result
+        spent[topic] += seconds
+    print("processor time: " + ", ".join(f"{topic} {seconds:.0f} s" for topic, seconds in spent.items()))
+    if not args.update:
+        good = [report(topic, found[topic], names[topic], whole=whole) for topic in topics]
+        print("golden results: no difference" if all(good) else "golden results differ; see CONTRIBUTING.md")
+        return int(not all(good))
+    for topic in topics:
+        kept = {} if whole else read(REFERENCE / f"{topic}.json")["items"]
+        write(REFERENCE / f"{topic}.json", {"machine": machine(), "items": kept | found[topic]})
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
