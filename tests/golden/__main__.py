@@ -31,6 +31,21 @@ def report(topic: str, items: dict[str, Any], names: dict[str, bool], *, whole: 
     return not counted
 
 
+def update(file: Path, items: dict[str, Any], *, whole: bool) -> None:
+    """Write results to a reference file; other entries stay unless these are all.
+
+    Raises:
+        SystemExit: If a result is an error, or the entries that stay are of another machine.
+    """
+    if failed := [f"{file.stem}/{name}: {parts['error']}" for name, parts in items.items() if "error" in parts]:
+        raise SystemExit("\n".join(failed))
+    reference = read(file)
+    if not whole and reference["machine"] not in ("", machine()):
+        raise SystemExit(f"{file.name}: written on {reference['machine']}; update all of its entries here, not some")
+    kept = {} if whole else reference["items"]
+    write(file, {"machine": machine(), "items": kept | items})
+
+
 def main() -> int:
     """Run the command; return 0 if nothing differs, else 1."""
     parser = argparse.ArgumentParser(prog="python -m tests.golden", description=__doc__)
@@ -60,8 +75,7 @@ def main() -> int:
         print("golden results: no difference" if all(good) else "golden results differ; see CONTRIBUTING.md")
         return int(not all(good))
     for topic in topics:
-        kept = {} if whole else read(REFERENCE / f"{topic}.json")["items"]
-        write(REFERENCE / f"{topic}.json", {"machine": machine(), "items": kept | found[topic]})
+        update(REFERENCE / f"{topic}.json", found[topic], whole=whole)
     return 0
 
 

@@ -14,8 +14,8 @@ from benchmarks.undeclared import Failure, make_case, simulate
 
 HAS_PROSE = True
 
-TOLERANCE_ELSEWHERE = 1e-3
-"""Largest relative difference of numbers on another kind of machine."""
+TOLERANCE_ELSEWHERE = 5e-3
+"""Largest relative difference of numbers on another kind of machine; AVX-512 in place of SSE changes them by up to 3.5e-4."""
 
 FLIGHTS: dict[str, Any] = {"seed": 211, "num_train": 3, "num_test": 1, "duration_s": 6.0, "rate_hz": 200}
 

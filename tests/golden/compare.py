@@ -42,7 +42,9 @@ def is_prose(value: Any) -> bool:
 
 def differences(reference: Any, present: Any, name: str, *, relative: float = RELATIVE) -> Iterator[str]:
     """Yield one line for each entry that differs; its path stands first."""
-    if isinstance(reference, dict) and isinstance(present, dict):
+    if isinstance(present, dict) and "error" in present:
+        yield f"{name}: {present['error']}"
+    elif isinstance(reference, dict) and isinstance(present, dict):
         for key in [*reference, *(key for key in present if key not in reference)]:
             path = f"{name}/{key}"
             if key not in present:

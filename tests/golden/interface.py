@@ -16,6 +16,7 @@ from typing import Any, get_args, get_type_hints
 import aerial_gym
 from aerial_gym.cli.list_names import KINDS, PARTS_OF_TASKS
 from aerial_gym.cli.main import COMMANDS, main
+from aerial_gym.lazy import Home
 from aerial_gym.physics import EFFECTS
 from aerial_gym.registry import Registry
 
@@ -35,7 +36,15 @@ CONFIGURATIONS = {
     "environment": "aerial_gym.config.environment:EnvironmentCfg",
     "sim": "aerial_gym.config.sim:SimCfg",
     "task": "aerial_gym.config.task:TaskCfg",
+    "camera": "aerial_gym.config.camera:CameraCfg",
+    "stereo camera": "aerial_gym.config.camera:StereoCfg",
+    "fisheye": "aerial_gym.config.camera:FisheyeCfg",
+    "lidar": "aerial_gym.config.lidar:LidarCfg",
+    "ray table": "aerial_gym.config.lidar:RayTableCfg",
+    "rosette": "aerial_gym.config.rosette:RosetteCfg",
+    "imu": "aerial_gym.config.imu:ImuCfg",
     "training": "aerial_gym.rl_training.settings:TrainingCfg",
+    "encoder": "aerial_gym.rl_training.encoder.settings:EncoderTrainingCfg",
     "tolerances": "aerial_gym.sim2real.predict.tolerances:Tolerances",
     "mapping": "aerial_gym.sim2real.logs.readers.mapping:LogMapping",
 }
@@ -94,33 +103,21 @@ def _flags(text: str) -> Iterator[str]:
 
 
 def _configuration() -> dict[str, Any]:
-    """Return every key of the configurations, with its default; a class that several hold is listed once."""
+    """Return every key of the configurations, with its default; a class that several keys hold is listed once."""
     found: dict[str, Any] = {}
     known: set[type] = set()
-    waiting = [(root, getattr(import_module(place.split(":")[0]), place.split(":")[1])) for root, place in _roots()]
+    waiting = [(root, Home(place).load()) for root, place in CONFIGURATIONS.items()]
     while waiting:
         path, cls = waiting.pop(0)
         if cls in known:
             continue
         known.add(cls)
         hints = get_type_hints(cls)
-        for field in fields(cls):
-            if not field.init:
-                continue
+        for field in (each for each in fields(cls) if each.init):
             key = f"{path}.{field.name}"
             found[key] = _default(field)
-            inner = [each for each in _classes(hints[field.name]) if each not in known]
-            waiting += [(key if len(inner) == 1 else f"{key}<{_own_key(each)}>", each) for each in inner]
+            waiting += [(key, each) for each in _classes(hints[field.name])]
     return found
-
-
-def _roots() -> list[tuple[str, str]]:
-    return list(CONFIGURATIONS.items())
-
-
-def _own_key(cls: type) -> str:
-    """Return a name for one of several classes that a key may hold, free of the name of the class: its first own key."""
-    return fields(cls)[0].name
 
 
 def _classes(hint: Any) -> Iterator[type]:

@@ -29,6 +29,10 @@ def test_each_difference_is_named_with_both_values() -> None:
     ]
 
 
+def test_an_error_is_one_difference() -> None:
+    assert list(differences({"a": 1, "b": 2}, {"error": "ValueError: no"}, "t")) == ["t: ValueError: no"]
+
+
 @pytest.mark.parametrize(("change", "count"), [(1e-5, 0), (4e-5, 1)])
 def test_numbers_differ_beyond_the_tolerance(change: float, count: int) -> None:
     assert len(list(differences([1.0], [1.0 + change], "t"))) == count

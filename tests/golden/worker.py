@@ -37,10 +37,14 @@ def begin() -> None:
     wp.config.cpu_compiler_flags = (wp.config.cpu_compiler_flags or "").replace("-march=native", "").strip()
 
 
-def measure(topic: str, item: str) -> tuple[Any, float]:
-    """Return one result in its compact form, and the seconds that it took."""
+def measure(topic: str, item: str) -> tuple[dict[str, Any], float]:
+    """Return one result in its compact form, or the error that it ended with, and the seconds that it took."""
     start, module = time.monotonic(), import_module(f"tests.golden.{topic}")
-    return compact(module.measure(item), prose=not module.HAS_PROSE), time.monotonic() - start
+    try:
+        result = compact(module.measure(item), prose=not module.HAS_PROSE)
+    except Exception as error:
+        result = {"error": f"{type(error).__name__}: {error}"}
+    return result, time.monotonic() - start
 
 
 def machine() -> str:
