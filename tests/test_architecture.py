@@ -45,31 +45,43 @@ stand."""
 ROOM_RANK = {name: rank for rank, group in enumerate(ROOMS) for name in group}
 
 
+LAUNCHES = ("launch", "launch_tiled")
+FILES = sorted(ROOT.rglob("*.py"))
+
+
 @cache
-def nodes_of(path: Path) -> list[ast.Import | ast.ImportFrom | ast.Call]:
+def import_and_launch_nodes(path: Path) -> list[ast.Import | ast.ImportFrom | ast.Call]:
     """Return the imports of a file and its launches of kernels; each file is read once for all tests."""
 
-    def asked_for(node: ast.AST) -> bool:
-        launches = isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in LAUNCHES
-        return launches or isinstance(node, ast.Import | ast.ImportFrom)
+    def matches(node: ast.AST) -> bool:
+        launch = isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in LAUNCHES
+        return launch or isinstance(node, ast.Import | ast.ImportFrom)
 
-    return [node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if asked_for(node)]  # type: ignore[misc]
-
-
-LAUNCHES = ("launch", "launch_tiled")
+    return [node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if matches(node)]  # type: ignore[misc]
 
 
-def imports_of(path: Path, package: str = "aerial_gym") -> set[str]:
-    """Return the first-level packages and modules of a package that a file imports."""
-    found = set()
-    for node in nodes_of(path):
-        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-        if isinstance(node, ast.ImportFrom) and node.module:
-            names = [node.module]
-            if node.module == package:
-                names = [f"{package}.{alias.name}" for alias in node.names]
-        found |= {name.removeprefix(f"{package}.").split(".")[0] for name in names if name.startswith(f"{package}.")}
-    return found
+def module_imports(path: Path) -> set[str]:
+    """Return the full names of the modules that a file imports; of ``from package import name`` both package and name."""
+    modules: set[str] = set()
+    for node in import_and_launch_nodes(path):
+        if isinstance(node, ast.Import):
+            modules |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            modules |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return modules
+
+
+def wrong_imports(folder: Path, ranks: dict[str, int]) -> list[str]:
+    """Return the files of a package that import a part of it which does not stand further left."""
+    package = ".".join(folder.relative_to(ROOT.parent).parts)
+    offences = []
+    for path in sorted(folder.rglob("*.py")):
+        part = path.relative_to(folder).parts[0].removesuffix(".py")
+        names = {name.removeprefix(f"{package}.") for name in module_imports(path) if name.startswith(f"{package}.")}
+        for other in {name.split(".")[0] for name in names} & ranks.keys() - {part}:
+            if part != "__init__" and ranks[other] >= ranks[part]:
+                offences.append(f"{path.relative_to(ROOT)}: {part} must not import {other}")
+    return offences
 
 
 LONGEST = 400
@@ -83,54 +95,34 @@ def test_no_file_of_the_loop_is_too_long_to_read() -> None:
     assert {name: count for name, count in lines.items() if count > LONGEST} == {}
 
 
-@pytest.mark.parametrize("path", sorted(ROOT.rglob("*.py")), ids=lambda p: str(p.relative_to(ROOT)))
-def test_imports_point_left(path: Path) -> None:
-    package = path.relative_to(ROOT).parts[0].removesuffix(".py")
-    if package == "__init__":
-        return
-    for other in imports_of(path) - {package}:
-        if other in RANK:
-            assert RANK[other] < RANK[package], f"{package} must not import {other}"
+def test_imports_point_left() -> None:
+    assert wrong_imports(ROOT, RANK) == []
 
 
-SIM2REAL = ROOT / "sim2real"
+def test_rooms_of_sim2real_import_left() -> None:
+    rooms = {
+        path.relative_to(ROOT / "sim2real").parts[0].removesuffix(".py") for path in FILES if "sim2real" in path.parts
+    }
+    assert rooms - {"__init__"} == ROOM_RANK.keys()
+    assert wrong_imports(ROOT / "sim2real", ROOM_RANK) == []
 
 
-@pytest.mark.parametrize("path", sorted(SIM2REAL.rglob("*.py")), ids=lambda p: str(p.relative_to(SIM2REAL)))
-def test_rooms_of_sim2real_import_left(path: Path) -> None:
-    room = path.relative_to(SIM2REAL).parts[0].removesuffix(".py")
-    if room == "__init__":
-        return
-    for other in imports_of(path, "aerial_gym.sim2real") - {room}:
-        assert ROOM_RANK[other] < ROOM_RANK[room], f"{room} must not import {other}"
-
-
-UNIT = ROOT.parent / "tests" / "unit"
-
-
-@pytest.mark.parametrize("path", sorted(UNIT.rglob("test_*.py")), ids=lambda p: str(p.relative_to(UNIT)))
-def test_unit_tests_mirror_the_package(path: Path) -> None:
+def test_unit_tests_mirror_the_package() -> None:
     """``tests/unit/<package>/test_<module>.py``; those of ``benchmarks/`` stand in a folder of that name."""
-    folder = path.parent.relative_to(UNIT)
-    if not folder.parts:
-        assert (ROOT / path.name.removeprefix("test_")).exists(), f"{path.name} belongs into the folder of its package"
-    assert (ROOT / folder).is_dir() or (ROOT.parent / folder).is_dir(), f"no package {folder}"
-    assert (path.parent / "__init__.py").exists()
+    unit = ROOT.parent / "tests" / "unit"
+
+    def mirrors(path: Path) -> bool:
+        folder = path.parent.relative_to(unit)
+        if not folder.parts:
+            return (ROOT / path.name.removeprefix("test_")).exists()
+        return ((ROOT / folder).is_dir() or (ROOT.parent / folder).is_dir()) and (path.parent / "__init__.py").exists()
+
+    assert [str(path.relative_to(unit)) for path in sorted(unit.rglob("test_*.py")) if not mirrors(path)] == []
 
 
 def test_undeclared_plant_shares_no_code_with_the_package() -> None:
-    for path in (ROOT.parent / "benchmarks" / "undeclared").glob("*.py"):
-        assert "aerial_gym" not in {n.split(".")[0] for n in _all_imports(path)}, path
-
-
-def _all_imports(path: Path) -> set[str]:
-    found: set[str] = set()
-    for node in nodes_of(path):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            found.add(node.module)
-    return found
+    files = sorted((ROOT.parent / "benchmarks" / "undeclared").glob("*.py"))
+    assert [path.name for path in files if "aerial_gym" in {name.split(".")[0] for name in module_imports(path)}] == []
 
 
 @pytest.mark.parametrize(
@@ -176,9 +168,13 @@ def test_every_name_of_a_package_is_there() -> None:
             getattr(package, name)
 
 
-@pytest.mark.parametrize("path", sorted(ROOT.rglob("*.py")), ids=lambda p: str(p.relative_to(ROOT)))
-def test_every_launch_says_where(path: Path) -> None:
+def test_every_launch_says_where() -> None:
     """Without a device Warp takes the first GPU there is, and reads what lies elsewhere."""
-    for node in nodes_of(path):
-        if isinstance(node, ast.Call) and ast.unparse(node.func) in {f"wp.{name}" for name in LAUNCHES}:
-            assert "device" in {keyword.arg for keyword in node.keywords}, f"{path}:{node.lineno}"
+    offences = [
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for path in FILES
+        for node in import_and_launch_nodes(path)
+        if isinstance(node, ast.Call) and ast.unparse(node.func) in {f"wp.{name}" for name in LAUNCHES}
+        if "device" not in {keyword.arg for keyword in node.keywords}
+    ]
+    assert offences == []

@@ -89,11 +89,9 @@ def test_every_peer_has_a_file_that_says_what_a_step_holds() -> None:
     assert all(set(PEERS.get(name).cases) <= set(CASES) for name in PEERS)
 
 
-@pytest.mark.parametrize("path", PEER_FILES, ids=lambda path: path.stem)
-def test_a_peers_file_imports_none_of_our_code_but_the_timing(path: Path) -> None:
-    text = path.read_text(encoding="utf-8")
-    assert "A step holds:" in text
-    assert "aerial_gym" not in text
+def test_a_peers_file_imports_none_of_our_code_but_the_timing() -> None:
+    texts = {path.stem: path.read_text(encoding="utf-8") for path in PEER_FILES}
+    assert [name for name, text in texts.items() if "A step holds:" not in text or "aerial_gym" in text] == []
 
 
 def test_a_peer_is_timed_and_watched() -> None:
