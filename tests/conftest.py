@@ -1,5 +1,8 @@
-"""Settings of all tests: as many threads as there are cores for each worker, or ``OMP_NUM_THREADS``; kernels are compiled when
-they are launched, mostly without optimisation; what a module's tests register goes with them.
+"""Settings of all tests: threads of a worker, optimisation of kernels, lifetime of registered names.
+
+Warp kernels for CPUs are compiled at their first launch. Most tests run unoptimised kernels, which compile in half of the time.
+Tests with the fixture ``optimised``, and a run of slow tests only, run the kernels of users: the optimiser contracts products
+into sums, so that rounding differs.
 """
 
 import gc
@@ -15,7 +18,7 @@ _CORES = len(os.sched_getaffinity(0))
 _WANTED = int(os.environ.get("OMP_NUM_THREADS", "2"))
 _THREADS = max(1, min(2, _WANTED, _CORES // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))))
 
-# Workers that have more threads than cores wait for each other; processes that tests start inherit the number.
+# Workers with more threads than cores wait for each other. Processes that tests start inherit the number.
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), str(_THREADS)))
 
 import pytest  # noqa: E402
@@ -44,60 +47,61 @@ from aerial_gym.task import (  # noqa: E402
 torch.set_num_threads(_THREADS)
 
 level: int | None = 0
-"""How far kernels for a CPU are optimised; None: as users have them."""
+"""Optimisation level of kernels for a CPU; None is the level of users."""
 
 level_of_rays: int | None = None
-"""The same of rays, which are many in most tests that cast them."""
+"""Optimisation level of ray kernels; most tests that cast rays cast many."""
+
+level_of_adjoints: int | None = 0
+"""Optimisation level of differentiable fused kernels: level 0 compiles in 7 s, the level of users in 22 s."""
 
 _own_flags: WeakKeyDictionary[wp.Module, str | None] = WeakKeyDictionary()
 """The flags of each module as users have them."""
 
 
 def has_adjoint(module: wp.Module) -> bool:
-    """Return whether a kernel is differentiated: loops that are not unrolled would keep the last of their values alone."""
+    """Return whether a kernel of the module is differentiable; its loops must be unrolled to keep all values."""
     whole = module.options["enable_backward"]
     return any(kernel.options.get("enable_backward", whole) for kernel in module.kernels.values())
 
 
-RUN_LONG = (replay.__name__, imu.__name__)
-"""Whose kernels run for longer than they are compiled: along flights, hundreds of times in a loop, and for records of IMUs."""
+LONG_RUNS = (replay.__name__, imu.__name__)
+"""Modules whose kernels run longer than they compile: replays of flights and records of IMUs."""
 
 
-def runs_long(module: wp.Module) -> bool:
-    """Return whether a kernel of a module is one of ``RUN_LONG``."""
-    return any((kernel.func.__module__ or "").startswith(RUN_LONG) for kernel in module.kernels.values())
+def is_long_run(module: wp.Module) -> bool:
+    """Return whether a kernel of the module belongs to ``LONG_RUNS``."""
+    return any((kernel.func.__module__ or "").startswith(LONG_RUNS) for kernel in module.kernels.values())
 
 
 def set_level(module: wp.Module) -> None:
-    """Optimise a module as far as is wanted now; never what is so long that this takes minutes, always what runs long.
+    """Set the optimisation of a module: none for modules that compile for minutes, full for long runs, else ``level``.
 
-    Rays are optimised without Warp's eager inlining, which makes them a tenth faster and takes three times as long, for each
-    combination of images that tests ask for. What is not optimised keeps its loops and is for any CPU: compiled in two thirds
-    of the time.
+    Ray kernels are optimised without Warp's eager inlining: they run 10 % faster, but would compile three times longer for each
+    combination of images. Unoptimised kernels keep their loops and suit any CPU; this saves a third of the compilation.
     """
     flags = _own_flags.setdefault(module, module.options["cpu_compiler_flags"])
-    rays, long = "cast_by_tile" in module.name, runs_long(module)
-    wanted = level_of_rays if rays else 0 if "-fno-slp-vectorize" in (flags or "") else None if long else level
-    if wanted == 0:
+    rays, long = "cast_by_tile" in module.name, is_long_run(module)
+    chosen = level_of_rays if rays else 0 if "-fno-slp-vectorize" in (flags or "") else None if long else level
+    if chosen == 0:
         flags = launches.NO_BFLOAT16
     elif rays or long:
         flags = f"-march=native {launches.NO_BFLOAT16}"
-    unrolled = wp.config.max_unroll if wanted != 0 or has_adjoint(module) else 1
-    module.options |= {"optimization_level": wanted, "cpu_compiler_flags": flags, "max_unroll": unrolled}
+    unroll = wp.config.max_unroll if chosen != 0 or has_adjoint(module) else 1
+    module.options |= {"optimization_level": chosen, "cpu_compiler_flags": flags, "max_unroll": unroll}
 
 
 def set_levels() -> None:
-    """Optimise the modules of all kernels that were begun as far as is wanted now."""
+    """Set the optimisation of the modules of all launched kernels; they are compiled again at their next launch."""
     for module, *_ in launches._begun:
         set_level(module)
         module.mark_modified()
 
 
 class CompileAtLaunch:
-    """Stands for the threads of ``compile_ahead`` and compiles nothing: what a test builds and never launches is not compiled.
+    """Replacement for the threads of ``compile_ahead`` that compiles nothing, so that only launched kernels are compiled.
 
-    The threads themselves are tested in ``unit/interop/test_launches.py``, and in every process that a test starts. What it
-    launches is compiled without optimisation, in less than half of the time, unless it asks for it as ``optimised``.
+    ``unit/interop/test_launches.py`` tests the threads themselves; processes that tests start have them.
     """
 
     def submit(self, load: object, *, modules: list[wp.Module], **kwargs: object) -> Future[None]:
@@ -109,7 +113,7 @@ class CompileAtLaunch:
 
 
 def load_quickly(module: wp.Module, device: wp.DeviceLike, *args: Any, **kwargs: Any) -> Any:
-    """Load a module; one that was not begun before is optimised as far as is wanted now, and has the headers of the others."""
+    """Load a module; set the optimisation and the headers of one that ``compile_ahead`` has not seen."""
     if module.options["cpu_compiler_flags"] is None and wp.get_device(device).is_cpu:
         module.options["cpu_compiler_flags"] = f"{wp.config.cpu_compiler_flags} {launches.NO_BFLOAT16}"
         set_level(module)
@@ -117,10 +121,10 @@ def load_quickly(module: wp.Module, device: wp.DeviceLike, *args: Any, **kwargs:
 
 
 def make_kernel_quickly(*args: Any, differentiable: bool, **kwargs: Any) -> wp.Kernel:
-    """Make a fused kernel; an adjoint, which is not compiled ahead, without optimisation: 7 s of compilation in place of 22."""
+    """Make a fused kernel; a differentiable one, which is not compiled ahead, gets ``level_of_adjoints``."""
     kernel = make_kernel(*args, differentiable=differentiable, **kwargs)
-    if differentiable:
-        kernel.module.options["optimization_level"] = 0
+    if differentiable and level_of_adjoints is not None:
+        kernel.module.options["optimization_level"] = level_of_adjoints
     return kernel
 
 
@@ -136,8 +140,11 @@ REGISTRIES = (
 )  # fmt: skip
 
 
-def pytest_collection_finish() -> None:
-    """Spare the collector what was imported, and let it go through the rest seldom: by default it takes a tenth of the time."""
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Optimise kernels in a run of slow tests only; collect garbage seldom, as it takes a tenth of the time by default."""
+    global level, level_of_adjoints
+    if session.items and all(item.get_closest_marker("slow") for item in session.items):
+        level = level_of_adjoints = None
     gc.collect()
     gc.freeze()
     gc.set_threshold(10_000, 10, 20)
@@ -145,7 +152,7 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture(autouse=True, scope="module")
 def own_names() -> Iterator[None]:
-    """Drop the names that the tests of a module, or their fixtures, have registered, and the task files that did."""
+    """Remove the names that a module's tests and fixtures have registered, and their task files."""
     before = [set(registry.names()) for registry in REGISTRIES]
     yield
     for registry, names in zip(REGISTRIES, before, strict=True):
@@ -157,19 +164,18 @@ def own_names() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def own_threads() -> Iterator[None]:
-    """Give the next test as many threads as this one had: with more than cores, workers wait for each other."""
+    """Restore the number of threads after each test: with more threads than cores, workers wait for each other."""
     yield
     torch.set_num_threads(_THREADS)
 
 
 @pytest.fixture
 def optimised() -> Iterator[None]:
-    """Compile kernels as users have them, those that were launched before included.
+    """Compile kernels as users have them, also those that were launched before.
 
-    Each family of kernels has tests with this; its other members are compared without, in less than half of the time. So has
-    what must not depend on the batch: the optimiser decides what is done side by side, and which products are fused into sums.
+    Each family of kernels has tests with this fixture; the others compare unoptimised ones. Tests of batch independence need
+    it: the optimiser decides which environments share a vector instruction, and which products it contracts into sums.
     """
-
     global level, level_of_rays
     before, level, level_of_rays = (level, level_of_rays), None, None
     set_levels()
@@ -180,9 +186,9 @@ def optimised() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def few_rays() -> Iterator[None]:
-    """Compile kernels of rays without optimisation in a module whose images are small, and of many combinations."""
+    """Compile ray kernels like the others in a module with small images of many combinations."""
     global level_of_rays
-    level_of_rays = 0
+    level_of_rays = level
     set_levels()
     yield
     level_of_rays = None
