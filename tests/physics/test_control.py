@@ -30,8 +30,6 @@ from aerial_gym.physics import (
 from aerial_gym.robots import ROBOTS
 from tests.physics.vehicles import F64, lopsided_robot, random_state
 
-LEE = [name for name in CONTROLLERS.names() if name.startswith("lee_")]
-
 
 def test_allocation_matrix_of_base_quadrotor_is_the_published_one() -> None:
     """Rows Fz ones, Mx (-l, -l, l, l), My (-l, l, l, -l), Mz (-c, c, -c, c), l = 0.13 m, c = 0.01 m (parity.md 2.4)."""
@@ -135,36 +133,6 @@ def fly(
 def controller_for(name: str, robot_name: str, num_envs: int) -> Controller:
     vehicle = vehicle_from_config(ROBOTS.get(robot_name), num_envs=num_envs, dtype=F64)
     return make_controller(CONTROLLERS.get(name), vehicle, 9.81, dt=0.01)
-
-
-@pytest.mark.parametrize(
-    ("robot", "num_envs"), [("base_quadrotor", 1), pytest.param("tinyprop", 5, marks=pytest.mark.slow)]
-)
-@pytest.mark.parametrize(
-    ("name", "span", "action", "field", "expected"),
-    [
-        ("lee_position_control", 12.0, [0.5, -0.4, 0.3, 0.6], "position", [0.5, -0.4, 0.3]),
-        pytest.param("lee_velocity_control", 8.0, [0.5, 0.0, -0.3, 0.0], "lin_vel", None, marks=pytest.mark.slow),
-        ("lee_acceleration_control", 4.0, [0.0, 0.0, 0.0, 0.5], "ang_vel", [0.0, 0.0, 0.5]),
-        ("lee_attitude_control", 4.0, [0.0, 0.2, -0.1, 0.0], "attitude", None),
-        ("lee_rates_control", 4.0, [0.0, 0.0, 0.0, 0.7], "ang_vel", [0.0, 0.0, 0.7]),
-    ],
-)
-def test_every_controller_reaches_its_command(
-    robot: str, num_envs: int, name: str, span: float, action: list[float], field: str, expected: list[float] | None
-) -> None:
-    """After the span [s] every environment sits at the fixed point that the command describes, within 0.1 % of a unit."""
-    end = fly(controller_for(name, robot, num_envs), robot, num_envs, action, span)
-    euler = euler_from_quat(end.attitude)
-    found = getattr(end, field)
-    if name == "lee_velocity_control":  # vehicle frame: forward along the heading
-        yaw = euler[:, 2]
-        wanted = torch.stack((0.5 * yaw.cos(), 0.5 * yaw.sin(), torch.full_like(yaw, -0.3)), dim=-1)
-    elif name == "lee_attitude_control":
-        found, wanted = euler[:, :2], torch.tensor([0.2, -0.1], dtype=F64).expand(num_envs, 2)
-    else:
-        wanted = torch.tensor(expected, dtype=F64).expand(num_envs, 3)
-    torch.testing.assert_close(found, wanted, atol=1e-3, rtol=0)
 
 
 def test_thrust_command_zero_is_weight_and_one_is_twice_the_weight() -> None:

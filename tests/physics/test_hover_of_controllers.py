@@ -3,17 +3,13 @@
 In float64 with the torch backend; the fused kernel, which runs an environment a thread, in ``test_alone_in_the_fused_kernel``.
 """
 
-from dataclasses import replace
-
 import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.math.quaternion import quat_exp
 from aerial_gym.physics import BodyState, TorchBackend, build_model, vehicle_from_config
 from aerial_gym.physics.model import robot_effects
@@ -84,30 +80,3 @@ def test_hover_is_the_same_alone_and_among_others(controller: str) -> None:
             torch.testing.assert_close(getattr(one, name)[0], found[first], atol=ROUND_OFF, rtol=ROUND_OFF)
         torch.testing.assert_close(found[0], getattr(rest, name)[0], atol=1e-9, rtol=1e-9)
     assert float((five.lin_vel[1] - rest.lin_vel[1]).norm()) > 1e-3
-
-
-CASCADE = "px4_position_control"
-IN_KERNEL = [CASCADE, *(name for name in CONTROLLERS if name != CASCADE)]
-
-
-@pytest.mark.parametrize("controller", thinned(IN_KERNEL, len(IN_KERNEL)))
-def test_alone_in_the_fused_kernel(controller: str) -> None:
-    """Bit for bit: from starts that a reset draws, which depend on the number of the environment alone."""
-    found = {}
-    for num_envs, first in ((5, 0), (2, 0), (1, 4)):
-        env = EnvManager(
-            sim=SIMS.get("base_sim"),
-            env=replace(ENVIRONMENTS.get("empty_env"), ground_height=None),
-            robot=robot_of(controller),
-            controller=CONTROLLERS.get(controller),
-            num_envs=num_envs,
-            device=torch.device("cpu"),
-            seed=0,
-            first_env=first,
-        )
-        env.reset()
-        for _ in range(STEPS):
-            env.step(torch.zeros_like(env.gtd["robot_actions"]))
-        found[num_envs] = env.gtd["vec_root_tensor"][:, 0].clone()
-    assert torch.equal(found[2], found[5][:2])
-    assert torch.equal(found[1][0], found[5][4])

@@ -3,9 +3,7 @@
 All in float64 but for whole simulations.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
-from math import cos, exp, pi
 from pathlib import Path
 
 import pytest
@@ -18,9 +16,8 @@ from aerial_gym.physics.articulated.joint_laws import Drive, Limits, Spring
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.mujoco.cpu.rollout_trees import RolloutTrees
-from aerial_gym.physics.mujoco.trees import Trees
 from aerial_gym.robots import ROBOTS
-from tests.physics.articulated.trees import pendulum, random_links, random_motion, random_tree
+from tests.physics.articulated.trees import random_links, random_motion, random_tree
 from tests.physics.vehicles import F64
 from tests.repetitions import often
 
@@ -85,37 +82,6 @@ def test_trees_move_as_by_implicit_euler(num_joints: int, chain: bool, floating:
         at_limit.append(drive.beyond(ours.joint_pos, ours.joint_vel) != 0.0)
     assert 0.0 < torch.stack(at_limit).double().mean() < 1.0
     assert_same(ours, theirs, bound=1e-9)
-
-
-def swung(dt: float, engine: Callable[..., Trees] = RolloutTrees) -> float:
-    """Return where a pendulum of 1 m on a stand is after half a small swing from 0.02 rad."""
-    tree, links = pendulum(1.0, 0.5)
-    state = TreeState.at_rest(1, 1, like=links.mass)
-    state = replace(state, joint_pos=state.joint_pos + 0.02)
-    bodies, period = engine(tree, 1, dt), 2.0 * pi / G**0.5
-    for _ in range(round(0.5 * period / dt)):
-        state = bodies.move(tree, links, (), state, dt, gravity=G, wrench=no_wrench(tree, 1))
-    return state.joint_pos.item()
-
-
-def test_a_small_pendulum_swings_to_the_other_side_in_half_its_period() -> None:
-    """``0.02 cos(sqrt(g / l) t)``: the step ends within dt / 2 of the turning point, where the cosine is flat, and order 1
-    of the amplitude is ``dt sqrt(g) / 2``."""
-    assert swung(1e-3) == pytest.approx(0.02 * cos(pi), rel=2e-3)
-
-
-def test_a_damper_that_is_stiff_for_its_step_is_stable() -> None:
-    """``q'' = -(c / J) q'`` with c / J = 230 1/s in steps of 10 ms: each leaves 1 / (1 + c dt / J) of the rate."""
-    tree, links = pendulum(0.2, 0.1)
-    inertia = 0.1 * 0.2**2
-    law = spring(1, damping=230.0 * inertia)
-    state = TreeState.at_rest(1, 1, like=links.mass)
-    state = replace(state, joint_vel=state.joint_vel + 1.0)
-    bodies = RolloutTrees(tree, 1, 0.01)
-    for _ in range(3):
-        state = bodies.move(tree, links, (law,), state, 0.01, gravity=0.0, wrench=no_wrench(tree, 1))
-    assert state.joint_vel.item() == pytest.approx(3.3**-3, rel=1e-6)
-    assert exp(-230.0 * 0.03) < state.joint_vel.item()
 
 
 def test_a_link_without_mass_between_two_joints_moves_as_in_torch() -> None:

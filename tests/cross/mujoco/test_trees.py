@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from aerial_gym.math.quaternion import quat_rotate, quat_to_matrix
-from aerial_gym.physics.articulated.dynamics import accelerations, equations
-from aerial_gym.physics.articulated.steppers import rk4
+from aerial_gym.physics.articulated.dynamics import accelerations
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.mujoco.mjcf import write_mjcf
 from tests.physics.articulated.trees import random_links, random_motion, random_tree
@@ -80,57 +78,3 @@ def test_accelerations_of_random_trees_are_those_of_mujoco(num_joints: int, chai
             mujoco.mj_forward(theirs.model, theirs.data)
             expected = theirs.in_our_order(theirs.data.qacc)
             np.testing.assert_allclose(ours[env].numpy(), expected, rtol=0.0, atol=1e-8 * np.abs(expected).max())
-
-
-@pytest.mark.parametrize("floating", [True, False])
-@pytest.mark.parametrize("chain", [False, True])
-def test_their_inverse_dynamics_give_back_the_efforts_of_our_accelerations(chain: bool, floating: bool) -> None:
-    """Forward here, inverse there (``mj_inverse``): the efforts of joints, and nothing on a base that is free."""
-    tree = random_tree(9, 5, floating=floating, chain=chain)
-    links, state = random_links(tree, 1, 5), random_motion(tree, 1, 5)
-    state = state if floating else level(state)
-    effort = torch.randn(1, 9, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
-    found = accelerations(tree, links, state, gravity=G, effort=effort)
-    theirs = Theirs(tree, links, state, 0)
-    theirs.data.qacc[theirs.rate] = found.joint_acc[0].numpy()
-    if floating:
-        theirs.data.qacc[:6] = torch.cat((found.lin_acc, found.ang_acc), dim=-1)[0].numpy()
-    mujoco.mj_inverse(theirs.model, theirs.data)
-    expected = torch.cat((torch.zeros(6 if floating else 0, dtype=torch.float64), effort[0])).numpy()
-    np.testing.assert_allclose(theirs.in_our_order(theirs.data.qfrc_inverse), expected, atol=1e-9)
-
-
-@pytest.mark.parametrize("chain", [False, True])
-def test_the_mass_matrix_is_that_of_mujoco(chain: bool) -> None:
-    """Ours has the velocity of the base in its own axes, theirs in the world's: the same after a turn."""
-    tree = random_tree(7, 11, chain=chain)
-    links, state = random_links(tree, 1, 11), random_motion(tree, 1, 11)
-    theirs, dense = Theirs(tree, links, state, 0), np.zeros((13, 13))
-    mujoco.mj_forward(theirs.model, theirs.data)
-    mujoco.mj_fullM(theirs.model, theirs.data, dense)
-    turn = np.eye(13)
-    turn[:3, :3] = quat_to_matrix(state.attitude[0]).numpy()
-    order = [*range(6), *theirs.rate]
-    expected = turn.T @ dense[np.ix_(order, order)] @ turn
-    np.testing.assert_allclose(equations(tree, links, state, gravity=G).mass[0].numpy(), expected, atol=1e-12)
-
-
-def test_a_tenth_of_a_second_of_a_falling_tree_is_that_of_mujoco() -> None:
-    """Both by RK4, ours at 1 ms, theirs at 0.1 ms: 1e-8 relative."""
-    tree = random_tree(6, 3)
-    links, state = random_links(tree, 2, 3), random_motion(tree, 2, 3)
-    end = state
-    for _ in range(100):
-        end = rk4(tree, links, (), end, 1e-3, gravity=G)
-    for env in range(2):
-        theirs = Theirs(tree, links, state, env)
-        for _ in range(1000):
-            mujoco.mj_step(theirs.model, theirs.data)
-        ours = torch.cat((end.lin_vel, end.ang_vel, end.joint_vel), dim=-1)[env].numpy()
-        expected = theirs.in_our_order(theirs.data.qvel)
-        np.testing.assert_allclose(ours, expected, rtol=0.0, atol=1e-8 * np.abs(expected).max())
-        np.testing.assert_allclose(end.joint_pos[env].numpy(), theirs.data.qpos[theirs.position], atol=1e-8)
-        np.testing.assert_allclose(end.position[env].numpy(), theirs.data.qpos[:3], atol=1e-8)
-        tip = quat_rotate(end.attitude[env], torch.ones(3, dtype=torch.float64))
-        x, y, z = theirs.data.body("link0").xmat.reshape(3, 3) @ np.ones(3)
-        np.testing.assert_allclose(tip.numpy(), (x, y, z), atol=1e-8)

@@ -1,8 +1,5 @@
 """Vehicles that bend on MuJoCo Warp as a backend, in float32: beside float64, closed forms and torch."""
 
-from dataclasses import replace
-from math import cos, pi
-
 import pytest
 import torch
 
@@ -12,9 +9,9 @@ from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Links, TreeState
 from aerial_gym.physics.mujoco.mjcf import Floor
 from aerial_gym.physics.mujoco.warp.warp_trees import WarpTrees
-from tests.cross.mujoco.test_bending import DT, G, assert_same, flies_as_on_torch, no_wrench, on_a_stand, spring, swung
+from tests.cross.mujoco.test_bending import DT, G, assert_same, flies_as_on_torch, no_wrench, on_a_stand, spring
 from tests.cross.test_joints_in_single_precision import WITH_JOINTS, bound_of, coordinates, start_of
-from tests.physics.articulated.trees import pendulum, random_links, random_motion, random_tree
+from tests.physics.articulated.trees import random_links, random_motion, random_tree
 from tests.physics.vehicles import F64
 from tests.repetitions import often
 
@@ -56,20 +53,6 @@ def test_trees_with_branches_and_weights_of_their_own_move_as_by_implicit_euler(
     heavier = Links(mass=2.0 * links.mass, com=links.com, inertia=links.inertia)
     again = implicit_euler(tree, heavier, (law,), ours, DT, gravity=G, wrench=wrench)
     assert_same(again, bodies.move(tree, heavier, (law,), ours, DT, gravity=G, wrench=wrench), bound=1e-5)
-
-
-def test_a_small_pendulum_swings_to_the_other_side_in_half_its_period() -> None:
-    assert swung(1e-3, WarpTrees) == pytest.approx(0.02 * cos(pi), rel=2e-3)
-
-
-def test_a_damper_that_is_stiff_for_its_step_is_stable() -> None:
-    """Each step leaves ``1 / (1 + c dt / J)`` of the rate, here 1 / 3.3."""
-    tree, links = pendulum(0.2, 0.1)
-    law, state = spring(1, damping=230.0 * 0.1 * 0.2**2), TreeState.at_rest(1, 1, like=links.mass)
-    state, bodies = replace(state, joint_vel=state.joint_vel + 1.0), WarpTrees(tree, 1, 0.01)
-    for _ in range(3):
-        state = bodies.move(tree, links, (law,), state, 0.01, gravity=0.0, wrench=no_wrench(tree, 1))
-    assert state.joint_vel.item() == pytest.approx(3.3**-3, rel=1e-5)
 
 
 def test_environments_bend_alone_as_in_a_batch_and_what_is_not_finite_stays_so() -> None:

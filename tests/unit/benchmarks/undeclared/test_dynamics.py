@@ -1,4 +1,7 @@
-"""The truth plant against closed forms and invariants: it referees the identification."""
+"""The truth plant: integration, sensors, logs and cases. It referees the identification.
+
+``tests/cross/test_undeclared_plant.py`` compares its accelerations with those of the package.
+"""
 
 import ast
 import json
@@ -89,37 +92,6 @@ def test_torque_free_rotation_turns_the_right_way() -> None:
     np.testing.assert_allclose(rotation(end)[0, :, 0], (0.0, 1.0, 0.0), rtol=0.0, atol=1e-9)
 
 
-def test_precession_has_the_sign_of_euler() -> None:
-    """I1 w1' = (I2 - I3) w2 w3: with 2, 3, 5 g m² and w = (0, 1, 2), w1' = (3 - 5) * 2 / 2 = -2 rad/s²."""
-    state = still()
-    state[:, RATE] = (0.0, 1.0, 2.0)
-    plant = Plant(replace(NO_DRAG, inertia=np.diag([2e-3, 3e-3, 5e-3])))
-    np.testing.assert_allclose(plant.derivative(state, IDLE)[0, RATE], (-2.0, 0.0, 0.0), atol=1e-14)
-
-
-def test_hover_balances_gravity() -> None:
-    """At w = sqrt(m g / 4 c_t) = 1126.3 rad/s nothing accelerates and the accelerometer reads +9.81 on z."""
-    speed = DECLARED.hover_speed()
-    assert speed == pytest.approx(np.sqrt(0.75 * 9.81 / 4 / 1.45e-6), rel=1e-14)
-    plant, state = Plant(DECLARED), still(rotor=speed)
-    np.testing.assert_allclose(plant.derivative(state, state[:, ROTOR]), 0.0, atol=1e-12)
-    np.testing.assert_allclose(plant.specific_force(state)[0], (0.0, 0.0, 9.81), atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("rotor", "roll", "pitch", "yaw"),
-    [(0, -1, -1, -1), (1, -1, 1, 1), (2, 1, 1, -1), (3, 1, -1, 1)],
-    ids=["front_right", "back_right", "back_left", "front_left"],
-)
-def test_one_faster_rotor_turns_the_body_away_from_it(rotor: int, roll: int, pitch: int, yaw: int) -> None:
-    """Thrust f at (x, y) gives torque (y f, -x f), and the drag torque -spin k f about z."""
-    plant, state = Plant(replace(NO_DRAG, inertia=np.diag([1e-3, 1e-3, 1e-3]))), still()
-    state[0, 18 + rotor] = 1000.0
-    thrust = 1.45e-6 * 1000.0**2
-    expected = np.array([roll * 0.08, pitch * 0.085, yaw * 0.014]) * thrust / 1e-3
-    np.testing.assert_allclose(plant.derivative(state, IDLE)[0, RATE], expected, rtol=1e-12)
-
-
 @pytest.mark.parametrize(("start", "target", "tau"), [(500.0, 1500.0, 0.03), (1500.0, 500.0, 0.05)])
 def test_rotor_lag_is_the_exponential(start: float, target: float, tau: float) -> None:
     """w = target + (start - target) exp(-t / tau), tau_up rising and tau_down falling; Runge-Kutta to (dt / tau)^4."""
@@ -127,75 +99,6 @@ def test_rotor_lag_is_the_exponential(start: float, target: float, tau: float) -
     end = run(plant, still(rotor=start), np.full((1, 4), target), span=0.06, dt=0.0005)
     expected = target + (start - target) * np.exp(-0.06 / tau)
     np.testing.assert_allclose(end[0, ROTOR], expected, rtol=(0.0005 / tau) ** 4)
-
-
-def test_fall_through_air_reaches_terminal_velocity() -> None:
-    """Linear drag: v = -(m g / d) (1 - exp(-d t / m)); quadratic: v = -V tanh(g t / V), V = sqrt(m g / d)."""
-    linear = Plant(replace(NO_DRAG, linear_drag=np.array([0.1, 0.2, 1.5])))
-    end = run(linear, still(), IDLE, span=1.0, dt=0.002)
-    top = 0.75 * GRAVITY / 1.5
-    np.testing.assert_allclose(end[0, VEL], (0.0, 0.0, -top * (1.0 - np.exp(-1.5 / 0.75))), atol=1e-9)
-    quadratic = Plant(replace(NO_DRAG, quadratic_drag=np.array([0.1, 0.2, 0.3])))
-    end = run(quadratic, still(), IDLE, span=1.0, dt=0.002)
-    top = np.sqrt(0.75 * GRAVITY / 0.3)
-    np.testing.assert_allclose(end[0, VEL], (0.0, 0.0, -top * np.tanh(GRAVITY / top)), atol=1e-9)
-
-
-def test_quadratic_drag_scales_with_the_whole_airspeed() -> None:
-    """force_i = -d_i |u| u_i: at u = (3, 0, 4), |u| = 5, d = (0.1, 0.2, 0.3) it is (-1.5, 0, -6) N."""
-    plant, state = Plant(replace(NO_DRAG, quadratic_drag=np.array([0.1, 0.2, 0.3]))), still()
-    state[:, VEL] = (3.0, 0.0, 4.0)
-    np.testing.assert_allclose(plant.body_force(state)[0], (-1.5, 0.0, -6.0), atol=1e-14)
-
-
-def test_drag_follows_body_axes_and_the_air() -> None:
-    """Heading along world +y, wind 2 m/s along world +x comes from the left: it pushes body -y, by d_y * 2."""
-    plant = Plant(replace(NO_DRAG, linear_drag=np.array([0.1, 0.3, 0.2]), wind_world=np.array([2.0, 0.0, 0.0])))
-    state = rest_state(DECLARED, np.zeros((1, 3)), np.array([0.5 * np.pi]))
-    state[:, ROTOR] = 0.0
-    np.testing.assert_allclose(plant.body_force(state)[0], (0.0, -0.6, 0.0), atol=1e-14)
-    acceleration = plant.derivative(state, IDLE)[0, VEL]
-    np.testing.assert_allclose(acceleration, (0.6 / 0.75, 0.0, -GRAVITY), atol=1e-14)
-
-
-def test_mass_ahead_pitches_the_nose_down() -> None:
-    """Thrust T z through the origin, centre of mass at c = +x: torque = (0 - c) x T z = +c T about y, nose down."""
-    true = replace(NO_DRAG, com=np.array([0.01, 0.0, 0.0]), inertia=np.diag([2e-3, 2e-3, 4e-3]))
-    state = still(rotor=DECLARED.hover_speed())
-    rate_dot = Plant(true).derivative(state, state[:, ROTOR])[0, RATE]
-    np.testing.assert_allclose(rate_dot, (0.0, 0.01 * 0.75 * GRAVITY / 2e-3, 0.0), atol=1e-9)
-    end = run(Plant(true), state, state[:, ROTOR].copy(), span=0.05, dt=0.0005)
-    assert rotation(end)[0, 2, 0] < -0.01  # the x axis points below the horizon
-
-
-def test_specific_force_is_the_second_derivative_at_the_origin() -> None:
-    """acc = R^T (p_O'' - g); central differences of p_O and v_O at h agree to h^2 / 6 |v'''|, |v'''| < 1.5e4 m/s^4."""
-    true = replace(DECLARED, com=np.array([0.03, -0.05, 0.04]), quadratic_drag=np.array([0.05, 0.06, 0.02]))
-    plant, state, h = Plant(true), tumbling(), 0.0002
-    states = [state]
-    for _ in range(2):
-        states.append(run(plant, states[-1], state[:, ROTOR], span=h, dt=h / 4))
-    before, now, after = (plant.origin_position(s)[0] for s in states)
-    second = (after - 2.0 * now + before) / h**2
-    back = rotation(states[1])[0].T
-    seen = plant.specific_force(states[1])[0]
-    gravity = np.array([0.0, 0.0, -9.81])
-    np.testing.assert_allclose(back @ (second - gravity), seen, atol=1e-4)
-    slope = (plant.origin_velocity(states[2])[0] - plant.origin_velocity(states[0])[0]) / (2.0 * h)
-    np.testing.assert_allclose(back @ (slope - gravity), seen, atol=1e-4)
-    np.testing.assert_allclose((after - before) / (2.0 * h), plant.origin_velocity(states[1])[0], atol=7e-6)
-    lever = seen - plant.body_force(states[1])[0] / true.mass
-    assert np.linalg.norm(lever) > 1.0  # the lever arm is at work
-
-
-def test_origin_lies_behind_a_centre_of_mass_ahead() -> None:
-    """With c = 0.1 m ahead and w about z: p_O = -c ahead, v_O = -w c to the left, acc = w^2 c forward, towards C."""
-    plant = Plant(replace(NO_DRAG, com=np.array([0.1, 0.0, 0.0]), inertia=np.diag([2e-3, 2e-3, 4e-3])))
-    state = rest_state(NO_DRAG, np.zeros((1, 3)), np.array([0.5 * np.pi]))  # ahead is world +y, left is world -x
-    state[:, ROTOR], state[:, RATE] = 0.0, (0.0, 0.0, 3.0)
-    np.testing.assert_allclose(plant.origin_position(state)[0], (0.0, -0.1, 0.0), atol=1e-15)
-    np.testing.assert_allclose(plant.origin_velocity(state)[0], (0.3, 0.0, 0.0), atol=1e-15)
-    np.testing.assert_allclose(plant.specific_force(state)[0], (0.9, 0.0, 0.0), atol=1e-14)
 
 
 def test_flight_of_a_batch_equals_the_flight_alone() -> None:

@@ -1,4 +1,7 @@
-"""The further hidden effects of the truth plant against closed forms, conservation laws and signed cases."""
+"""The truth plant: loads on cables and soft arms, gusts, sensors, unknown forces and drawn parameters.
+
+``tests/cross/test_undeclared_plant.py`` compares its accelerations with those of the package.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from scipy.spatial.transform import Rotation
 
 from benchmarks.undeclared import EFFECTS, FEATURES, UNKNOWN, make_case
 from benchmarks.undeclared.cases import flights_of, fly_case, plan_all
@@ -131,97 +133,6 @@ def test_full_step_has_order_four() -> None:
     np.testing.assert_allclose(np.diff(np.log2(errors)), -4.0, atol=0.15)
 
 
-def test_specific_force_is_the_second_derivative_at_the_origin_with_everything() -> None:
-    """acc = R^T (p_O'' - g): central differences at h = 0.2 ms agree to h² / 6 |v'''| with |v'''| < 1.5e5 m/s^4."""
-    plant, h = everything(), 0.0002
-    states = [plant.rest(tumbling())]
-    command = np.array([[1000.0, 1250.0, 1200.0, 1100.0]])
-    for _ in range(2):
-        for _ in range(4):
-            states.append(plant.step(states[-1], command, h / 4))
-        states[-4:] = states[-1:]
-    velocity = [plant.origin_velocity(s)[0] for s in states]
-    slope = (velocity[2] - velocity[0]) / (2.0 * h)
-    plant._time = h  # of the state in the middle
-    seen = plant.specific_force(states[1])[0]
-    np.testing.assert_allclose(rotation(states[1])[0].T @ (slope + np.array([0.0, 0.0, GRAVITY])), seen, atol=1e-3)
-
-
-def test_h_force_pushes_back_and_flapping_lifts_the_nose() -> None:
-    """u = (3, 0, 0), four rotors at n: force -4 kh n 3 along x; moment about y -4 kf n 3, and -z_hub 4 kh n 3 by the lever."""
-    state = level()
-    state[:, VEL] = (3.0, 0.0, 0.0)
-    force, torque = added(hidden(h_force_flapping={"kh": 4e-5, "kf": 2e-7}), state)
-    push = 4 * 4e-5 * SPEED * 3.0
-    np.testing.assert_allclose(force, (-push, 0.0, 0.0), atol=1e-12)
-    np.testing.assert_allclose(torque, (0.0, -0.012 * push - 4 * 2e-7 * SPEED * 3.0, 0.0), atol=1e-12)
-
-
-def test_h_force_damps_yaw() -> None:
-    """Turning at w about z each hub moves at w r: torque -4 kh n r² w, r² = 0.085² + 0.08²."""
-    state = level()
-    state[:, RATE] = (0.0, 0.0, 5.0)
-    force, torque = added(having(h_force=4e-5), state)
-    np.testing.assert_allclose(force, 0.0, atol=1e-12)
-    np.testing.assert_allclose(torque, (0.0, 0.0, -4 * 4e-5 * SPEED * (0.085**2 + 0.08**2) * 5.0), atol=1e-12)
-
-
-def test_axial_inflow_takes_thrust_from_a_climb_and_damps_roll() -> None:
-    """Climb at 2 m/s: -4 ka n 2 along z. Roll at p: a hub at y moves at p y, torque -4 ka n y² p, y = 0.08."""
-    vehicle, state = hidden(axial_inflow={"ka": 6e-5}), level()
-    state[:, VEL] = (0.0, 0.0, 2.0)
-    np.testing.assert_allclose(added(vehicle, state)[0], (0.0, 0.0, -4 * 6e-5 * SPEED * 2.0), atol=1e-12)
-    state[:, VEL], state[:, RATE] = 0.0, (3.0, 0.0, 0.0)
-    np.testing.assert_allclose(added(vehicle, state)[1], (-4 * 6e-5 * SPEED * 0.08**2 * 3.0, 0.0, 0.0), atol=1e-12)
-
-
-def test_translational_lift_grows_with_the_square_of_the_airspeed_in_the_disc() -> None:
-    """|u| = 5 in the disc, of which wind is a part: 4 kt 25 upwards; climb does not count."""
-    state = level()
-    state[:, VEL] = (1.0, 4.0, 7.0)
-    vehicle = replace(hidden(translational_lift={"kt": 0.012}), wind_world=np.array([-2.0, 0.0, 0.0]))
-    np.testing.assert_allclose(added(vehicle, state)[0], (0.0, 0.0, 4 * 0.012 * 25.0), atol=1e-12)
-
-
-@pytest.mark.parametrize(("motor", "roll", "pitch"), [(1, -1, -1), (2, -1, 1), (3, 1, 1), (4, 1, -1)])
-def test_weak_motor_counts_from_one_and_lowers_its_corner(motor: int, roll: int, pitch: int) -> None:
-    """A loss of 0.1 f of rotor i: torque opposite to that of its thrust, drag torque weaker, too."""
-    vehicle = hidden(weak_motor={"motor": motor, "scale": 0.9})
-    lost = 0.1 * 1.45e-6 * SPEED**2
-    force, torque = loads(Plant(vehicle), level())
-    assert force[2] == pytest.approx(4 * 1.45 - lost, rel=1e-12)
-    np.testing.assert_allclose(torque[:2], (-roll * 0.08 * lost, -pitch * 0.085 * lost), atol=1e-14)
-    assert torque[2] == pytest.approx((1 if motor % 2 else -1) * 0.014 * lost)
-
-
-def test_tilted_motor_pushes_sideways() -> None:
-    """Rolled by a, rotor 1 at (0.085, -0.08) pushes -f sin a along y: yaw torque -0.085 f sin a; pitched, +f sin a along x."""
-    thrust, a = 1.45e-6 * SPEED**2, 0.1
-    force, torque = loads(Plant(hidden(motor_tilt={"motor": 1, "roll": a})), level())
-    np.testing.assert_allclose(force, (0.0, -thrust * np.sin(a), 4 * thrust - thrust * (1 - np.cos(a))), atol=1e-12)
-    assert torque[2] == pytest.approx(-0.085 * thrust * np.sin(a) + 0.014 * thrust * (1 - np.cos(a)))
-    force, _ = loads(Plant(hidden(motor_tilt={"motor": 1, "pitch": a})), level())
-    np.testing.assert_allclose(force[:2], (thrust * np.sin(a), 0.0), atol=1e-12)
-
-
-def test_parameters_of_the_vehicle_change_by_what_they_say() -> None:
-    """Torque of two opposite rotors by the scale; hover thrust lifts m + dm short of g dm / (m + dm); w' by 1 / s."""
-    state = level()
-    state[0, ROTOR] = (SPEED, 0.0, SPEED, 0.0)
-    _, torque = loads(Plant(hidden(torque_ratio={"scale": 1.3})), state)
-    assert torque[2] == pytest.approx(-2 * 1.3 * 0.014 * 1.45e-6 * SPEED**2)
-    heavy = Plant(hidden(payload_mass={"dm": 0.05}))
-    fall = heavy.derivative(level(rotor=HOVER), np.full((1, 4), HOVER))[0, 5]
-    assert fall == pytest.approx(-GRAVITY * 0.05 / 0.80)
-    state[0, ROTOR] = (SPEED, 1.1 * SPEED, 1.2 * SPEED, SPEED)
-    scaled = Plant(hidden(inertia_error={"sx": 1.2, "sy": 0.9, "sz": 1.1})).derivative(state, state[:, ROTOR])[0, RATE]
-    plain = Plant(BARE).derivative(state, state[:, ROTOR])[0, RATE]
-    np.testing.assert_allclose(plain / scaled, (1.2, 0.9, 1.1), rtol=1e-12)
-    slow = hidden(motor_asymmetry={"tau_up": 0.03, "tau_down": 0.06})
-    rates = Plant(slow).derivative(level(), np.array([[1030.0, 970.0, 1030.0, 970.0]]))[0, ROTOR]
-    np.testing.assert_allclose(rates, (1000.0, -500.0, 1000.0, -500.0), rtol=1e-12)
-
-
 @pytest.mark.parametrize("delay", [0.0025, pytest.param(0.008, marks=pytest.mark.slow)])
 def test_rotors_follow_the_command_of_that_long_ago(delay: float) -> None:
     """Exponential towards the command that was sent ``delay`` ago, also within a sample; Runge-Kutta to (h / tau)^4."""
@@ -261,33 +172,6 @@ def test_battery_gives_the_power_and_loses_the_charge() -> None:
     assert voltage[0] > voltage[1]
 
 
-def test_spinning_rotors_share_angular_momentum_with_the_body() -> None:
-    """R (I w + sum J s n a) is constant without thrust, while rotors speed up by themselves; drift within (h / tau)^4."""
-    vehicle = replace(having(rotor_inertia=2e-5), thrust_coeff=np.full(4, 1e-30))
-    plant, state = FullPlant(vehicle), level()
-    state[:, RATE] = (2.0, -1.0, 0.5)
-
-    def momentum(state: Array) -> Array:
-        spin = 2e-5 * (state[0, ROTOR] * vehicle.rotor_spin) @ vehicle.rotor_axis
-        return rotation(state)[0] @ (vehicle.inertia @ state[0, RATE] + spin)
-
-    start, command = momentum(state), np.array([[2000.0, 800.0, 1500.0, 300.0]])
-    for _ in range(200):
-        state = plant.step(state, command, 0.0005)
-    np.testing.assert_allclose(momentum(state), start, rtol=0.0, atol=1e-9 * np.linalg.norm(start) + 1e-10)
-    assert abs(state[0, RATE][2] - 0.5) > 1.0
-
-
-def test_rotor_that_speeds_up_turns_the_body_the_other_way() -> None:
-    """Rotor 1 turns about +z: while n' = 10000 rad/s² the body feels -J n'; pitching at q with net spin h: torque -w x h."""
-    plant, state = FullPlant(having(rotor_inertia=2e-5)), level(rotor=0.0)
-    slope = plant.derivative(state, np.array([[380.0, 0.0, 0.0, 0.0]]))[0]
-    np.testing.assert_allclose(slope[RATE], (0.0, 0.0, -2e-5 * 1e4 / 4e-3), rtol=1e-12)
-    state[0, ROTOR], state[0, RATE] = (1e-3, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0)
-    torque = added(having(rotor_inertia=20.0), state)[1]
-    np.testing.assert_allclose(torque, (-20.0 * 1e-3, 0.0, 0.0), atol=1e-12)  # -(y x z) = -x
-
-
 def test_slung_load_swings_at_the_frequency_of_the_pair() -> None:
     """w = sqrt(g / l (1 + M / m)): back after a period and opposite after half of it, to the square of the angle."""
     mass, length, angle = 0.15, 0.8, 0.01
@@ -323,60 +207,7 @@ def test_slung_load_keeps_momentum_and_damping_takes_energy() -> None:
         assert np.linalg.norm(state[0, CABLE]) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_hanging_load_weighs_down() -> None:
-    """At rest the pull is M g down: hover thrust of the pair balances, and the accelerometer still reads g."""
-    plant = FullPlant(hidden(slung_payload={"mass": 0.1, "length": 0.7, "damping": 0.02}))
-    state = plant.rest(level(rotor=np.sqrt(0.85 * GRAVITY / 4 / 1.45e-6)))
-    np.testing.assert_allclose(plant.derivative(state, state[:, ROTOR]), 0.0, atol=1e-11)
-    np.testing.assert_allclose(plant.specific_force(state)[0], (0.0, 0.0, GRAVITY), atol=1e-11)
-
-
 SOFT = {"compliance": 1.5, "tau": 0.05, "hinge": 0.4}
-
-
-def test_arms_rest_where_their_joints_bear_the_thrust() -> None:
-    """Four arms alike bend by ``C f l``, l = 0.6 of the way to the hub; lift ``4 f cos h``, neither side force nor torque."""
-    plant = FullPlant(hidden(joint_spring=SOFT))
-    state = plant.rest(level())
-    thrust, angle = 1.45, 1.5 * 1.45 * 0.6 * np.hypot(0.085, 0.08)
-    np.testing.assert_allclose(state[0, 22:], angle, rtol=1e-12)
-    force, torque = loads(plant, state)
-    np.testing.assert_allclose(force, (0.0, 0.0, 4.0 * thrust * np.cos(angle)), atol=1e-12)
-    np.testing.assert_allclose(torque, 0.0, atol=1e-12)
-    np.testing.assert_allclose(plant.derivative(state, state[:, ROTOR])[0, 22:], 0.0, atol=1e-12)
-
-
-def test_a_bent_arm_leans_its_rotor_in_and_lifts_its_hub() -> None:
-    """Rotor 1 alone, ahead and to the right: thrust ``f (-e sin h + z cos h)`` at ``l (e cos h + z sin h)`` from the joint."""
-    plant, angle = FullPlant(hidden(joint_creep=SOFT)), 0.3
-    state = plant.rest(level(rotor=0.0))
-    state[0, ROTOR.start], state[0, 22] = SPEED, angle
-    reach = np.hypot(0.085, 0.08)
-    out, up = np.array([0.085, -0.08, 0.0]) / reach, np.array([0.0, 0.0, 1.0])
-    force = 1.45 * (up * np.cos(angle) - out * np.sin(angle))
-    hub = reach * (0.4 * out + 0.6 * (out * np.cos(angle) + up * np.sin(angle))) + 0.012 * up
-    found = loads(plant, state)
-    np.testing.assert_allclose(found[0], force, atol=1e-12)
-    np.testing.assert_allclose(found[1], np.cross(hub, force) - 0.014 * force, atol=1e-12)
-
-
-def test_tilted_rotors_turn_with_their_arms() -> None:
-    """Axes in any direction, centre of mass beside the origin, unequal angles: one rotation by scipy for each arm."""
-    axes = np.array([[0.1, 0.05, 1.0], [-0.05, 0.1, 1.0], [0.02, -0.1, 1.0], [0.07, 0.03, 1.0]])
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    vehicle = replace(BARE, com=np.array([0.03, -0.05, 0.04]), rotor_axis=axes)
-    state = np.hstack((tumbling(), [[0.1, 0.2, -0.3, 0.4]]))
-    expected = np.zeros((2, 3))
-    for hub, axis, spin, speed, angle in zip(
-        vehicle.rotor_position, axes, vehicle.rotor_spin, state[0, ROTOR], state[0, 22:], strict=True
-    ):
-        out = hub * (1.0, 1.0, 0.0)
-        turn = Rotation.from_rotvec(angle * np.cross(out, (0.0, 0.0, 1.0)) / np.linalg.norm(out))
-        force = 1.45e-6 * speed**2 * turn.apply(axis)
-        lever = hub - 0.6 * out + turn.apply(0.6 * out) - vehicle.com
-        expected += force, np.cross(lever, force) - spin * 0.014 * force
-    found = loads(FullPlant(hidden(vehicle, joint_spring=SOFT)), state)
-    np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_elements_of_an_arm_approach_their_load_and_add_up() -> None:
@@ -414,45 +245,6 @@ def test_soft_arms_and_a_load_share_the_state() -> None:
     np.testing.assert_allclose(plant.step(state, state[:, ROTOR], 0.0005)[:, 28:], state[:, 28:], rtol=1e-12)
 
 
-def test_ground_adds_a_fifteenth_at_one_radius() -> None:
-    """k = 1, hub at a height of one radius: thrust times 1 / (1 - 1/16) = 16 / 15; far away nothing."""
-    vehicle = hidden(ground_effect={"k": 1.0})
-    for height, ratio in ((ROTOR_RADIUS, 16.0 / 15.0), (2.0 * ROTOR_RADIUS, 64.0 / 63.0), (50.0, 1.0)):
-        force, _ = loads(FullPlant(vehicle), level(height=height - 0.012, rotor=HOVER))
-        assert force[2] / WEIGHT == pytest.approx(ratio, abs=1e-6)
-    strong = loads(FullPlant(hidden(ground_effect={"k": 3.0})), level(height=2.0 * ROTOR_RADIUS - 0.012, rotor=HOVER))[
-        0
-    ]
-    assert strong[2] / WEIGHT == pytest.approx(64.0 / 61.0)
-
-
-def test_ground_rights_a_tilted_vehicle_and_a_ceiling_does_not() -> None:
-    """Rolled about +x the right side is lower: nearer to the ground it is lifted, torque -x; nearer to a ceiling +x."""
-    state = level(height=0.2)
-    rotation(state)[0] = [[1.0, 0.0, 0.0], [0.0, np.cos(0.2), -np.sin(0.2)], [0.0, np.sin(0.2), np.cos(0.2)]]
-    assert added(having(ground=2.0), state)[1][0] < -1e-4
-    under = Surroundings(ceiling=0.4)
-    assert added(having(ceiling=2.0), state, under)[1][0] > 1e-4
-
-
-def test_ceiling_adds_a_fifteenth_at_one_radius_below() -> None:
-    vehicle = hidden(ceiling_effect={"k": 1.0})
-    state = level(height=3.0 - ROTOR_RADIUS - 0.012, rotor=HOVER)
-    assert loads(FullPlant(vehicle, Surroundings(ceiling=3.0)), state)[0][2] / WEIGHT == pytest.approx(16.0 / 15.0)
-    with pytest.raises(ValueError, match="ceiling_effect: needs a ceiling"):
-        FullPlant(vehicle)
-
-
-def test_wind_grows_with_a_power_of_the_height() -> None:
-    """Drag of air at rest relative to the vehicle: force d w (z / 10)^a; at 20 m, a = 0.5, times sqrt(2)."""
-    vehicle = replace(
-        hidden(wind_shear={"x": 3.0, "y": -1.0, "z_ref": 10.0, "exponent": 0.5}), linear_drag=np.full(3, 0.2)
-    )
-    for height, factor in ((10.0, 1.0), (20.0, np.sqrt(2.0)), (2.5, 0.5)):
-        force, _ = added(vehicle, level(height=height))
-        np.testing.assert_allclose(force, np.array([0.6, -0.2, 0.0]) * factor, atol=1e-12)
-
-
 def test_gusts_have_their_spread_and_memory() -> None:
     """Variance and correlation exp(-t / T) of 1000 correlation times, three axes, within five standard errors."""
     series = gusts(1.5, 0.5, 200_000, 400.0, np.random.default_rng(0))
@@ -472,16 +264,6 @@ def test_gusts_push_through_drag() -> None:
     np.testing.assert_allclose(loads(plant, level())[0] - still, (0.4, 0.0, 0.0), atol=1e-12)
     plant.begin(1, np.array([16.0]))
     np.testing.assert_allclose(loads(plant, level())[0] - still, (0.0, -0.2, 0.0), atol=1e-12)
-
-
-def test_downwash_is_a_bell_below_the_other_vehicle() -> None:
-    """Force straight below, its exp(-1/2) at one sigma to the side, none above the other vehicle."""
-    vehicle = hidden(downwash={"force": 0.5, "sigma": 0.3})
-    for other, force in (((0.0, 0.0, 7.0), 0.5), ((0.18, -0.24, 9.0), 0.5 * np.exp(-0.5)), ((0.0, 0.0, 4.0), 0.0)):
-        around = Surroundings(other=np.array([[other]]))
-        np.testing.assert_allclose(added(vehicle, level(), around)[0], (0.0, 0.0, -force), atol=1e-12)
-    with pytest.raises(ValueError, match="downwash: needs another vehicle"):
-        FullPlant(vehicle)
 
 
 def test_another_vehicle_stays_above() -> None:
@@ -639,6 +421,14 @@ def test_shear_flights_have_heights_that_differ() -> None:
 def test_wrong_requests_are_refused(effects: dict, features: tuple[str, ...], message: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=message):
         make_case(tmp_path, effects=effects, seed=0, features=features)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"), [("ceiling_effect", "needs a ceiling"), ("downwash", "needs another vehicle")]
+)
+def test_effects_need_their_surroundings(name: str, message: str) -> None:
+    with pytest.raises(ValueError, match=f"{name}: {message}"):
+        FullPlant(hidden(**{name: "large"}))
 
 
 @pytest.mark.usefixtures("coarser_plant")
