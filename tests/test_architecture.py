@@ -20,7 +20,7 @@ GROUPS = (
     ("robots",),
     ("env_manager",),
     ("task",),
-    ("rl_training", "sim2real", "viewer", "benchmarks"),
+    ("rl_training", "sim2real", "viewer", "workloads"),
     ("compat", "export"),
     ("cli",),
 )

@@ -5,10 +5,10 @@ from typing import Annotated
 
 import tyro
 
-from aerial_gym.benchmarks.memory import MemoryBench
-from aerial_gym.benchmarks.physics import PhysicsBench
-from aerial_gym.benchmarks.render import RenderBench
-from aerial_gym.benchmarks.task import TaskBench
+from aerial_gym.workloads.memory import MemoryBench
+from aerial_gym.workloads.physics import PhysicsBench
+from aerial_gym.workloads.render import RenderBench
+from aerial_gym.workloads.task import TaskBench
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import torch
 import tyro
 
-from aerial_gym.benchmarks.flight import make_flight
 from aerial_gym.interop import resolve_device
 from aerial_gym.physics.articulated.articulation import articulation_of
 from aerial_gym.physics.articulated.tree import Links
 from aerial_gym.physics.mujoco.mjcf import write_mjcf
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
+from aerial_gym.workloads.flight import make_flight
 
 DT = 0.002
 LEAST = 1e-5

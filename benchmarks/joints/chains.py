@@ -27,7 +27,6 @@ import torch
 import tyro
 import warp as wp
 
-from aerial_gym.benchmarks.output import device_name, print_figures, provenance
 from aerial_gym.config.joint import BASE, JointCfg, JointsCfg, LinkCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
@@ -41,6 +40,7 @@ from aerial_gym.physics.mujoco.mjcf import write_mjcf
 from aerial_gym.physics.state import JointedState, state_at_rest
 from aerial_gym.physics.warp_backend import BLOCK_DIM, WarpBackend
 from aerial_gym.robots import ROBOTS
+from aerial_gym.workloads.output import device_name, print_figures, provenance
 from benchmarks.joints.kernel_size import compiled_size, loaded_size
 from benchmarks.joints.solvers.again import MAKERS, bends_of, model_of, random_motion, solve_kernel, solve_launch
 

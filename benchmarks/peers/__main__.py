@@ -10,9 +10,9 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from aerial_gym.benchmarks.output import device_name, provenance, readable
 from aerial_gym.errors import AerialGymError, ConfigError
 from aerial_gym.interop import resolve_device
+from aerial_gym.workloads.output import device_name, provenance, readable
 from benchmarks.peers.catalog import CASES, PEERS, interpreters
 from benchmarks.peers.runs import Conditions, RunFailedError, ours, peers, schedule, why_skipped
 from benchmarks.peers.table import Measurement, Ratio, ratios

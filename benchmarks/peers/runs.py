@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from aerial_gym.benchmarks.process import RunFailedError, run
+from aerial_gym.workloads.process import RunFailedError, run
 from benchmarks.peers.catalog import CASES, PEERS
 from benchmarks.peers.table import Measurement
 

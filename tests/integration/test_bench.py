@@ -6,13 +6,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-from aerial_gym.benchmarks.episodes import check_crashes, check_step
-from aerial_gym.benchmarks.flight import Flight, check_flying, check_moved, make_flight
-from aerial_gym.benchmarks.measure import WorkloadError, spread, time_launches, torch_threads
 from aerial_gym.cli.main import main
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import BodyState, state_at_rest
+from aerial_gym.workloads.episodes import check_crashes, check_step
+from aerial_gym.workloads.flight import Flight, check_flying, check_moved, make_flight
+from aerial_gym.workloads.measure import WorkloadError, spread, time_launches, torch_threads
 from tests.physics.vehicles import ON_RIGID
 from tests.repetitions import often
 
@@ -197,7 +197,7 @@ def test_a_workload_that_breaks_while_timed_gives_no_figure(monkeypatch: pytest.
 
 
 def test_a_failed_check_ends_with_status_1(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr("aerial_gym.benchmarks.flight.MAX_SPEED", 1e-6)
+    monkeypatch.setattr("aerial_gym.workloads.flight.MAX_SPEED", 1e-6)
     status, out, err = run(capsys, "bench", "physics", "--num-envs", "8", "--json", *QUICK)
     assert status == 1
     assert out == ""
@@ -258,10 +258,10 @@ def test_rendering_measures_a_lidar_whose_columns_share_poses(capsys: pytest.Cap
 
 def test_merged_meshes_show_the_same_depths(capsys: pytest.CaptureFixture[str]) -> None:
     """The baseline sees what we see: boxes to round-off; the median leaves out pixels along edges."""
-    from aerial_gym.benchmarks.merged import MergedMeshes
-    from aerial_gym.benchmarks.scenes import make_scene
     from aerial_gym.config.sensor import CameraCfg
     from aerial_gym.sensors import RayCaster, SensorImages
+    from aerial_gym.workloads.merged import MergedMeshes
+    from aerial_gym.workloads.scenes import make_scene
 
     scene = make_scene("boxes", 3, device=CPU)
     camera = CameraCfg(

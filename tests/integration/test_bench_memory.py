@@ -6,8 +6,8 @@ import pytest
 import torch
 import warp as wp
 
-from aerial_gym.benchmarks.memory import arrays_of
 from aerial_gym.cli.main import main
+from aerial_gym.workloads.memory import arrays_of
 
 CPU = torch.device("cpu")
 

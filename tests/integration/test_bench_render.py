@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 import torch
 
-from aerial_gym.benchmarks.beside import names_of
-from aerial_gym.benchmarks.measure import WorkloadError
-from aerial_gym.benchmarks.renderers import runs
-from aerial_gym.benchmarks.renderers.catalog import RENDER_PEERS, interpreters
-from aerial_gym.benchmarks.renderers.runs import run_peer, scene_arrays, share_that_differs, why_missing
-from aerial_gym.benchmarks.scenes import RenderScene, make_scene
 from aerial_gym.cli.main import main
 from aerial_gym.config.environment import ShapeCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.workloads.beside import names_of
+from aerial_gym.workloads.measure import WorkloadError
+from aerial_gym.workloads.renderers import runs
+from aerial_gym.workloads.renderers.catalog import RENDER_PEERS, interpreters
+from aerial_gym.workloads.renderers.runs import run_peer, scene_arrays, share_that_differs, why_missing
+from aerial_gym.workloads.scenes import RenderScene, make_scene
 
 CPU = torch.device("cpu")
 QUICK = ("--device", "cpu", "--repeats", "2", "--repeat-time-s", "0.01", "--width", "32", "--height", "24")

@@ -10,7 +10,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.benchmarks.measure import torch_threads
 from aerial_gym.config.robot import BodyCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.errors import CapabilityError
@@ -25,6 +24,7 @@ from aerial_gym.physics import (
 )
 from aerial_gym.physics.vehicle import Vehicle, own_rows
 from aerial_gym.robots import ROBOTS
+from aerial_gym.workloads.measure import torch_threads
 from tests.cross.test_backends import actions_for, as_type, build, start_of
 from tests.physics.contact_rig import start
 from tests.physics.mixed_rotors import mixed_robot

@@ -37,7 +37,7 @@ class MemoryBench:
 
     def run(self) -> int:
         """Build, reset, step once, add up and print; return the exit status."""
-        from aerial_gym.benchmarks.output import print_figures
+        from aerial_gym.workloads.output import print_figures
 
         total, *arrays = self.measure()
         print_figures(total, as_json=self.json)
@@ -56,10 +56,10 @@ class MemoryBench:
         """
         import torch
 
-        from aerial_gym.benchmarks.measure import require_at_least
-        from aerial_gym.benchmarks.output import device_name, packages_of, provenance
         from aerial_gym.env_manager import SimBuilder
         from aerial_gym.interop import resolve_device
+        from aerial_gym.workloads.measure import require_at_least
+        from aerial_gym.workloads.output import device_name, packages_of, provenance
 
         require_at_least(1, num_envs=self.num_envs)
         require_at_least(0, largest=self.largest)

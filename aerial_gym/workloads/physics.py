@@ -53,8 +53,8 @@ class PhysicsBench:
 
     def run(self) -> int:
         """Measure and print; return the exit status: 1 if the workload did not do its work."""
-        from aerial_gym.benchmarks.measure import WorkloadError
-        from aerial_gym.benchmarks.output import print_figures
+        from aerial_gym.workloads.measure import WorkloadError
+        from aerial_gym.workloads.output import print_figures
 
         try:
             print_figures(self.measure(), as_json=self.json)
@@ -70,10 +70,10 @@ class PhysicsBench:
             AerialGymError: If a name is unknown, a number impossible, or the backend cannot do it.
             WorkloadError: If the vehicles did not fly.
         """
-        from aerial_gym.benchmarks.flight import make_flight
-        from aerial_gym.benchmarks.measure import require_at_least, spread, time_launches, torch_threads
-        from aerial_gym.benchmarks.output import device_name, packages_of, provenance
         from aerial_gym.interop import resolve_device
+        from aerial_gym.workloads.flight import make_flight
+        from aerial_gym.workloads.measure import require_at_least, spread, time_launches, torch_threads
+        from aerial_gym.workloads.output import device_name, packages_of, provenance
 
         require_at_least(1, num_envs=self.num_envs, substeps=self.substeps)
         device = resolve_device(self.device)

@@ -6,8 +6,8 @@ Letters: E environments, U entries of an action.
 import torch
 from torch import Tensor
 
-from aerial_gym.benchmarks.measure import WorkloadError
 from aerial_gym.task import Task
+from aerial_gym.workloads.measure import WorkloadError
 
 STEPS_PER_BATCH = 10
 """Task steps between two looks at the clock's loop."""

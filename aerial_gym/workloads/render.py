@@ -62,9 +62,9 @@ class RenderBench:
 
     def run(self) -> int:
         """Measure and print; return the exit status: 1 if a workload did not do its work."""
-        from aerial_gym.benchmarks.beside import summary
-        from aerial_gym.benchmarks.measure import WorkloadError
-        from aerial_gym.benchmarks.output import print_figures
+        from aerial_gym.workloads.beside import summary
+        from aerial_gym.workloads.measure import WorkloadError
+        from aerial_gym.workloads.output import print_figures
 
         try:
             rows, failures = self.measure()
@@ -85,10 +85,10 @@ class RenderBench:
             AerialGymError: If a name is unknown or a number impossible.
             WorkloadError: If our images are not those of the scene.
         """
-        from aerial_gym.benchmarks.beside import names_of
-        from aerial_gym.benchmarks.measure import require_at_least, torch_threads
         from aerial_gym.errors import ConfigError
         from aerial_gym.interop import resolve_device
+        from aerial_gym.workloads.beside import names_of
+        from aerial_gym.workloads.measure import require_at_least, torch_threads
 
         require_at_least(1, num_envs=self.num_envs, width=self.width, height=self.height)
         device, names, threads = resolve_device(self.device), names_of(self.against), self.threads
@@ -106,11 +106,11 @@ class RenderBench:
     ) -> tuple[list[dict[str, object]], list[str]]:
         import torch
 
-        from aerial_gym.benchmarks.beside import Beside
-        from aerial_gym.benchmarks.measure import WorkloadError, spread
-        from aerial_gym.benchmarks.output import device_name, provenance
-        from aerial_gym.benchmarks.scenes import make_scene
         from aerial_gym.sensors import RayCaster, SensorImages
+        from aerial_gym.workloads.beside import Beside
+        from aerial_gym.workloads.measure import WorkloadError, spread
+        from aerial_gym.workloads.output import device_name, provenance
+        from aerial_gym.workloads.scenes import make_scene
 
         provided, scene = provenance(), make_scene(self.scene, self.num_envs, device=device)
         sensor = self._sensor(scene.max_range)
@@ -209,7 +209,7 @@ class RenderBench:
 
     def _time(self, call: "Callable[[], object]", depth: "torch.Tensor") -> list[float]:
         """Return the time of one call in each repeat [s]."""
-        from aerial_gym.benchmarks.measure import time_launches
+        from aerial_gym.workloads.measure import time_launches
 
         return time_launches(_Images(call, depth), repeats=self.repeats, repeat_time_s=self.repeat_time_s)
 
@@ -220,7 +220,7 @@ class _Images:
     batches_per_stretch = 1_000_000_000  # the scene stays: nothing is put back
 
     def __init__(self, call: "Callable[[], object]", depth: "torch.Tensor") -> None:
-        from aerial_gym.benchmarks.measure import batch_of
+        from aerial_gym.workloads.measure import batch_of
 
         self.device, self._depth = depth.device, depth
         self.launches_per_batch = 4
@@ -231,7 +231,7 @@ class _Images:
 
     def check(self, *, started: bool) -> None:
         """Raise ``WorkloadError`` unless every environment sees something, nothing is NaN, and depths differ."""
-        from aerial_gym.benchmarks.measure import WorkloadError
+        from aerial_gym.workloads.measure import WorkloadError
 
         if not started:
             return

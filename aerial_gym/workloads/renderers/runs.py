@@ -11,12 +11,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from aerial_gym.benchmarks.measure import WorkloadError
-from aerial_gym.benchmarks.process import RunFailedError, run
-from aerial_gym.benchmarks.renderers.catalog import RENDER_PEERS
-from aerial_gym.benchmarks.scenes import RenderScene
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 from aerial_gym.math.quaternion import quat_from_euler, quat_multiply, quat_rotate
+from aerial_gym.workloads.measure import WorkloadError
+from aerial_gym.workloads.process import RunFailedError, run
+from aerial_gym.workloads.renderers.catalog import RENDER_PEERS
+from aerial_gym.workloads.scenes import RenderScene
 
 WORKER = Path(__file__).with_name("worker.py")
 

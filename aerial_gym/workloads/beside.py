@@ -8,11 +8,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from aerial_gym.benchmarks.measure import spread
-from aerial_gym.benchmarks.merged import DISTINCT, MergedMeshes
-from aerial_gym.benchmarks.output import readable
-from aerial_gym.benchmarks.renderers.catalog import RENDER_PEERS, interpreters
-from aerial_gym.benchmarks.renderers.runs import (
+from aerial_gym.config.sensor import CameraCfg, RangeSensorCfg
+from aerial_gym.errors import UnknownNameError
+from aerial_gym.sensors import SensorImages
+from aerial_gym.workloads.measure import spread
+from aerial_gym.workloads.merged import DISTINCT, MergedMeshes
+from aerial_gym.workloads.output import readable
+from aerial_gym.workloads.renderers.catalog import RENDER_PEERS, interpreters
+from aerial_gym.workloads.renderers.runs import (
     MOST_THAT_DIFFER,
     run_peer,
     scene_arrays,
@@ -20,10 +23,7 @@ from aerial_gym.benchmarks.renderers.runs import (
     vertical_field_deg,
     why_missing,
 )
-from aerial_gym.benchmarks.scenes import RenderScene
-from aerial_gym.config.sensor import CameraCfg, RangeSensorCfg
-from aerial_gym.errors import UnknownNameError
-from aerial_gym.sensors import SensorImages
+from aerial_gym.workloads.scenes import RenderScene
 
 MESHES = ("merged", "shared_mesh")
 """Renderers that come with us: triangle meshes, cast by Warp."""

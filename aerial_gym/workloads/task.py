@@ -41,8 +41,8 @@ class TaskBench:
 
     def run(self) -> int:
         """Measure and print; return the exit status: 1 if the workload did not do its work."""
-        from aerial_gym.benchmarks.measure import WorkloadError
-        from aerial_gym.benchmarks.output import print_figures
+        from aerial_gym.workloads.measure import WorkloadError
+        from aerial_gym.workloads.output import print_figures
 
         try:
             print_figures(self.measure(), as_json=self.json)
@@ -58,12 +58,12 @@ class TaskBench:
             AerialGymError: If a name is unknown or a number impossible.
             WorkloadError: If the episodes were not those of a running task.
         """
-        from aerial_gym.benchmarks.episodes import Episodes
-        from aerial_gym.benchmarks.measure import spread, time_launches, torch_threads
-        from aerial_gym.benchmarks.output import device_name, packages_of, provenance
-        from aerial_gym.benchmarks.parts import time_parts
         from aerial_gym.interop import resolve_device
         from aerial_gym.task import task_registry
+        from aerial_gym.workloads.episodes import Episodes
+        from aerial_gym.workloads.measure import spread, time_launches, torch_threads
+        from aerial_gym.workloads.output import device_name, packages_of, provenance
+        from aerial_gym.workloads.parts import time_parts
 
         device = resolve_device(self.device)
         beside = provenance(*packages_of(self.backend))

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import torch
 
-from aerial_gym.benchmarks.measure import batch_of
 from aerial_gym.task import Task
+from aerial_gym.workloads.measure import batch_of
 
 SPAN_S = 0.02
 """About how long a part is run for one figure [s]; short, so that robots do not fly far without being reset."""

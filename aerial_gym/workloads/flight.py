@@ -9,7 +9,6 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from aerial_gym.benchmarks.measure import WorkloadError, batch_of
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.control import CONTROLLERS, make_controller
@@ -21,6 +20,7 @@ from aerial_gym.physics.model import EffectParams
 from aerial_gym.physics.state import JointedState, state_at_rest
 from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.robots.catalog import robot_by_name
+from aerial_gym.workloads.measure import WorkloadError, batch_of
 
 LAUNCHES_PER_BATCH = 20
 """Launches in one CUDA graph: the cost of starting a replay is shared by them."""
