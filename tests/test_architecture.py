@@ -1,6 +1,7 @@
 """The direction of imports: a package imports itself and what stands further left, nothing else."""
 
 import ast
+import re
 import subprocess
 import sys
 from functools import cache
@@ -11,19 +12,13 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent / "aerial_gym"
-GROUPS = (
-    ("lazy", "errors"),
-    ("interop", "math"),
-    ("config", "registry"),
-    ("physics", "assets"),
-    ("control", "sensors"),
-    ("robots",),
-    ("env_manager",),
-    ("task",),
-    ("rl_training", "sim2real", "viewer", "workloads"),
-    ("compat", "export"),
-    ("cli",),
+ORDER = (
+    "lazy | errors interop math | config registry | physics assets | control sensors | robots | env_manager | task | "
+    "rl_training sim2real | export compat | firmware fleet viewer workloads | cli"
 )
+"""The only statement of the import order. A package may still be absent, but no package may be missing here."""
+
+GROUPS = [group.split() for group in ORDER.split("|")]
 RANK = {name: rank for rank, group in enumerate(GROUPS) for name in group}
 
 
@@ -40,8 +35,7 @@ ROOMS = (
     ("in_memory",),
     ("close_loop",),
 )
-"""Of ``sim2real``: flights come in on the left, pages go out on the right; the loop is last, as joints are found on the test
-stand."""
+"""The only statement of the import order within ``sim2real``. Each folder may import the folders above it."""
 ROOM_RANK = {name: rank for rank, group in enumerate(ROOMS) for name in group}
 
 
@@ -97,6 +91,16 @@ def test_no_file_of_the_loop_is_too_long_to_read() -> None:
 
 def test_imports_point_left() -> None:
     assert wrong_imports(ROOT, RANK) == []
+
+
+def test_contributing_has_one_row_for_each_package_in_the_import_order() -> None:
+    """Rows of the table read ``| `aerial_gym/NAME/` | purpose |``."""
+    text = (ROOT.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `aerial_gym/(\w+)(?:/|\.py)` \| (.+) \|$", text, re.MULTILINE)
+    names = {path.stem for path in ROOT.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()}
+    assert {name for name, _ in rows} == names - {"__init__"} == names & set(RANK)
+    assert [name for name, _ in rows] == [name for group in GROUPS for name in group if name in names]
+    assert all(purpose.strip() for _, purpose in rows)
 
 
 def test_rooms_of_sim2real_import_left() -> None:
