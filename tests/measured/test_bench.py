@@ -9,7 +9,6 @@ import pytest
 
 from aerial_gym.cli.main import main
 from aerial_gym.physics.effects.induced_flow import AIR_DENSITY
-from benchmarks.devices.propellers import measure
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 BENCH = DATA / "bench"
@@ -74,23 +73,6 @@ def test_a_propeller_takes_more_torque_than_an_ideal_rotor_of_its_size() -> None
     thrust, power = table.thrust_N, table.torque_Nm * table.omega
     merit = thrust * (thrust / (2.0 * AIR_DENSITY * np.pi * 0.0635**2)) ** 0.5 / power
     assert merit.between(0.35, 0.46).all()
-
-
-def test_rows_of_propellers_predict_those_left_out_and_sections_do_not_give_the_torque() -> None:
-    """Figures of docs/rotors.md: one coefficient from every second row; friction of sections gives 44 % of the torque."""
-    rows, theory = measure(BENCH)
-    found = {(row.tests.split(",")[0], row.law.split(":")[0]): row.every_second for row in rows}
-    assert found["5 inch", "coefficient"] == pytest.approx(0.026, abs=0.001)
-    assert found["many propellers", "coefficient"] == pytest.approx(0.046, abs=0.001)
-    laws = (
-        "torque ratio",
-        "even inflow and profile drag",
-        "inflow along the blade and profile drag",
-        "figure of merit",
-    )
-    assert [found["5 inch", law] for law in laws] == pytest.approx([0.057, 0.060, 0.059, 0.057], abs=0.001)
-    assert theory["share"] == pytest.approx(0.44, abs=0.005)
-    assert 1.0 < theory["kappa"] < 1.05
 
 
 def test_four_motors_of_a_crazyflie(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,1 +1,0 @@
-"""Ways to solve for the accelerations of a tree in a kernel, beside that of the library, and kernels that compare them."""
