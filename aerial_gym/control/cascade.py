@@ -164,7 +164,6 @@ class CascadeController(RememberingController):
         return self._fused(
             remembering=cascade_fused.maker(self._law, self.timing, self._layout, has_loop=has_loop),
             gains_type=cascade_fused.CascadeGains if has_loop else lee_fused.Gains,
-            load_gains=cascade_fused.load_gains if has_loop else lee_fused.load_gains,
             gains=self._fused_gains(),
         )
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import warp as wp
 
 from aerial_gym.control.lee_fused import Gains, read_vec3
-from aerial_gym.control.lee_fused import load_gains as load_lee_gains
 from aerial_gym.control.timing import Timing
 from aerial_gym.physics.fused.allocation import make_prioritised_thrust
 from aerial_gym.physics.fused.command import make_limited, make_speed_of
@@ -33,27 +32,6 @@ class CascadeGains:
     derivative: wp.vec3  # [-]
     smoothing: float
     body_inertia: wp.mat33  # [kg m²]
-
-
-NUM_LEE_GAINS = 25
-"""Numbers of ``lee_fused.Gains``."""
-
-
-@wp.func
-def load_gains(source: wp.array2d[float], first: int, env: int) -> CascadeGains:
-    """Return the gains of one environment from the rows of (N, E)."""
-    at = first + wp.static(NUM_LEE_GAINS)
-    gains = CascadeGains()
-    gains.lee = load_lee_gains(source, first, env)
-    gains.proportional = read_vec3(source, at, env)
-    gains.integral = read_vec3(source, at + 3, env)
-    gains.integral_limit = read_vec3(source, at + 6, env)
-    gains.derivative = read_vec3(source, at + 9, env)
-    gains.smoothing = source[at + 12, env]
-    gains.body_inertia = wp.matrix_from_rows(
-        read_vec3(source, at + 13, env), read_vec3(source, at + 16, env), read_vec3(source, at + 19, env)
-    )
-    return gains
 
 
 def maker(

@@ -152,7 +152,6 @@ class LeeController:
             wrench=self._law.fused,
             prepare=self._law.prepare,
             gains_type=lee_fused.Gains,
-            load_gains=lee_fused.load_gains,
             gains=lee_fused.gain_rows(self.gains),
         )
 

@@ -64,24 +64,6 @@ def write_vec3(out: wp.array2d[float], first: int, env: int, vector: wp.vec3):
 
 
 @wp.func
-def load_gains(source: wp.array2d[float], first: int, env: int) -> Gains:
-    """Return the gains of one environment from the rows of (N, E), in the order of ``gain_rows``."""
-    gains = Gains()
-    gains.position = read_vec3(source, first, env)
-    gains.velocity = read_vec3(source, first + 3, env)
-    gains.attitude = read_vec3(source, first + 6, env)
-    gains.rate = read_vec3(source, first + 9, env)
-    gains.mass = source[first + 12, env]
-    gains.inertia = wp.matrix_from_rows(
-        read_vec3(source, first + 13, env), read_vec3(source, first + 16, env), read_vec3(source, first + 19, env)
-    )
-    gains.gravity = source[first + 22, env]
-    gains.max_yaw_rate = source[first + 23, env]
-    gains.max_slope = source[first + 24, env]
-    return gains
-
-
-@wp.func
 def inverse_cos_pitch(up: wp.vec3) -> float:
     """Return ``1 / cos pitch``, finite where the body points straight up or down."""
     return inverse_root(wp.max(up[1] * up[1] + up[2] * up[2], 1.0e-30))

@@ -44,24 +44,6 @@ class BetaflightRows:
     expo: wp.vec3  # [-]
 
 
-@wp.func
-def load_gains(source: wp.array2d[float], first: int, env: int) -> BetaflightRows:
-    """Return the parameters of one environment from the rows of (N, E)."""
-    gains = BetaflightRows()
-    gains.rate = read_vec3(source, first, env)
-    gains.integral = read_vec3(source, first + 3, env)
-    gains.derivative = read_vec3(source, first + 6, env)
-    gains.forward = read_vec3(source, first + 9, env)
-    gains.limit = read_vec3(source, first + 12, env)
-    gains.integral_limit = read_vec3(source, first + 15, env)
-    gains.mix = read_vec3(source, first + 18, env)
-    gains.weight = source[first + 21, env]
-    gains.center = read_vec3(source, first + 22, env)
-    gains.largest = read_vec3(source, first + 25, env)
-    gains.expo = read_vec3(source, first + 28, env)
-    return gains
-
-
 def make_wish(rates_type: str) -> wp.Function:
     """Return the thrust per weight and the body rates [rad/s] that an action asks for."""
 

@@ -29,7 +29,7 @@ from aerial_gym.control.gains import autopilot_of
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.remembering import RememberingController, layout_of
 from aerial_gym.control.timing import timing_of
-from aerial_gym.physics.fused.law import FusedLaw
+from aerial_gym.physics.fused.law import FusedLaw, gain_rows
 from aerial_gym.physics.law_memory import LawMemory
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import Vehicle
@@ -115,8 +115,7 @@ class BetaflightController(RememberingController):
         return self._fused(
             remembering=betaflight_fused.maker(self._own, self.filters, self.timing, self._layout),
             gains_type=betaflight_fused.BetaflightRows,
-            load_gains=betaflight_fused.load_gains,
-            gains=dict(vars(self.gains)) | {"weight": self.gains.weight[:, 0]},
+            gains=gain_rows(betaflight_fused.BetaflightRows, self.gains),
         )
 
 

@@ -3,17 +3,15 @@
 Letters: E environments, R rotors.
 """
 
-from collections.abc import Mapping
 from math import tan
 from typing import TYPE_CHECKING
 
 import warp as wp
-from torch import Tensor
 
 from aerial_gym.control.cascade_fused import make_allot, make_remembering, make_two_levels
 from aerial_gym.control.crazyflie.crazyflie_fused import Maker
 from aerial_gym.control.lee import LEAST_LIFT
-from aerial_gym.control.lee_fused import read_vec3, within_inclination
+from aerial_gym.control.lee_fused import within_inclination
 from aerial_gym.control.reduced_attitude_fused import shortest_turn, tilt_first_error
 from aerial_gym.control.timing import Timing
 from aerial_gym.physics.fused.command import make_speed_of
@@ -23,7 +21,6 @@ from aerial_gym.physics.fused.memory import LawArrays
 from aerial_gym.physics.fused.types import rotor_types
 
 if TYPE_CHECKING:
-    from aerial_gym.control.crazyflie.brescianini import BrescianiniGains
     from aerial_gym.control.remembering import Layout
 
 
@@ -42,34 +39,6 @@ class BrescianiniRows:
     most_thrust: float  # [m/s²]
     tilt_rate_limit: float  # [rad/s]
     yaw_rate_limit: float  # [rad/s]
-
-
-def brescianini_rows(gains: "BrescianiniGains") -> Mapping[str, Tensor]:
-    """Return the fields of ``BrescianiniRows`` in their order, each (E, ...)."""
-    return {
-        name: rows[:, 0] if BrescianiniRows.cls.__annotations__[name] is float else rows
-        for name, rows in vars(gains).items()
-    }
-
-
-@wp.func
-def load_brescianini(source: wp.array2d[float], first: int, env: int) -> BrescianiniRows:
-    """Return the gains of one environment from the rows of (N, E)."""
-    gains = BrescianiniRows()
-    gains.mass = source[first, env]
-    gains.inertia = wp.matrix_from_rows(
-        read_vec3(source, first + 1, env), read_vec3(source, first + 4, env), read_vec3(source, first + 7, env)
-    )
-    gains.position = read_vec3(source, first + 10, env)
-    gains.velocity = read_vec3(source, first + 13, env)
-    gains.attitude = source[first + 16, env]
-    gains.mixing = source[first + 17, env]
-    gains.rate = read_vec3(source, first + 18, env)
-    gains.least_thrust = source[first + 21, env]
-    gains.most_thrust = source[first + 22, env]
-    gains.tilt_rate_limit = source[first + 23, env]
-    gains.yaw_rate_limit = source[first + 24, env]
-    return gains
 
 
 def make_lean(*, gravity: float, max_inclination: float) -> wp.Function:

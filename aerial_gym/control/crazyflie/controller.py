@@ -46,7 +46,7 @@ from aerial_gym.control.laws import LAWS
 from aerial_gym.control.lee import wrench_from
 from aerial_gym.control.remembering import RememberingController, layout_of
 from aerial_gym.control.timing import timing_of
-from aerial_gym.physics.fused.law import FusedLaw
+from aerial_gym.physics.fused.law import FusedLaw, gain_rows
 from aerial_gym.physics.law_memory import LawMemory
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import Vehicle
@@ -138,8 +138,7 @@ class MellingerController(_CrazyflieInCounts):
                 max_inclination=self._derived.tilt,
             ),
             gains_type=crazyflie_fused.MellingerRows,
-            load_gains=crazyflie_fused.load_mellinger,
-            gains=crazyflie_fused.mellinger_rows(self.gains),
+            gains=gain_rows(crazyflie_fused.MellingerRows, self.gains),
         )
 
 
@@ -173,8 +172,7 @@ class PidController(_CrazyflieInCounts):
         return self._fused(
             remembering=crazyflie_fused.pid_maker(self.timing, self._layout, self._signs),
             gains_type=crazyflie_fused.PidRows,
-            load_gains=crazyflie_fused.load_pid,
-            gains=crazyflie_fused.pid_rows(self.gains),
+            gains=gain_rows(crazyflie_fused.PidRows, self.gains),
         )
 
 
@@ -205,7 +203,6 @@ class CrazyflieLeeController(_Crazyflie):
         return self._fused(
             remembering=geometric_fused.geometric_maker(self.timing, self._layout),
             gains_type=geometric_fused.IntegralRows,
-            load_gains=geometric_fused.load_integrals,
             gains=geometric_fused.integral_rows(self.gains),
         )
 
@@ -240,6 +237,5 @@ class BrescianiniController(_Crazyflie):
                 self.timing, self._layout, gravity=self._derived.gravity, max_inclination=self._derived.tilt
             ),
             gains_type=brescianini_fused.BrescianiniRows,
-            load_gains=brescianini_fused.load_brescianini,
-            gains=brescianini_fused.brescianini_rows(self.gains),
+            gains=gain_rows(brescianini_fused.BrescianiniRows, self.gains),
         )

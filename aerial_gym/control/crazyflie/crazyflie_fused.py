@@ -4,7 +4,7 @@ Which way each rotor turns the vehicle is the same for all environments and stan
 Letters: E environments, R rotors.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from math import degrees, tan
 from typing import TYPE_CHECKING
 
@@ -26,8 +26,6 @@ from aerial_gym.physics.fused.memory import LawArrays
 from aerial_gym.physics.fused.types import rotor_types
 
 if TYPE_CHECKING:
-    from aerial_gym.control.crazyflie.mellinger import MellingerGains
-    from aerial_gym.control.crazyflie.pid import PidGains
     from aerial_gym.control.remembering import Layout
 
 Maker = Callable[[FusedLaw, int, bool], wp.Function]
@@ -48,32 +46,6 @@ class MellingerRows:
     attitude_integral: wp.vec3  # [counts/s]
     attitude_limit: wp.vec3  # [s]
     rate_difference: float  # [counts s²/rad]
-
-
-def mellinger_rows(gains: "MellingerGains") -> Mapping[str, Tensor]:
-    """Return the fields of ``MellingerRows`` in their order, each (E, ...)."""
-    return {
-        name: rows[:, 0] if MellingerRows.cls.__annotations__[name] is float else rows
-        for name, rows in vars(gains).items()
-    }
-
-
-@wp.func
-def load_mellinger(source: wp.array2d[float], first: int, env: int) -> MellingerRows:
-    """Return the gains of one environment from the rows of (N, E)."""
-    gains = MellingerRows()
-    gains.mass = source[first, env]
-    gains.mass_thrust = source[first + 1, env]
-    gains.position = read_vec3(source, first + 2, env)
-    gains.velocity = read_vec3(source, first + 5, env)
-    gains.position_integral = read_vec3(source, first + 8, env)
-    gains.position_limit = read_vec3(source, first + 11, env)
-    gains.attitude = read_vec3(source, first + 14, env)
-    gains.rate = read_vec3(source, first + 17, env)
-    gains.attitude_integral = read_vec3(source, first + 20, env)
-    gains.attitude_limit = read_vec3(source, first + 23, env)
-    gains.rate_difference = source[first + 26, env]
-    return gains
 
 
 @wp.struct
@@ -98,46 +70,6 @@ class PidRows:
     most_tilt: float  # [deg]
     thrust_base: float  # [counts]
     least_thrust: float  # [counts]
-
-
-NUM_OF_LEVEL = 12
-"""Numbers of ``LevelRows``."""
-
-LEVELS = ("position", "velocity", "attitude", "rates")
-
-
-def pid_rows(gains: "PidGains") -> Mapping[str, Tensor]:
-    """Return the fields of ``PidRows`` in their order, each (E, ...); those of levels as ``level.field``."""
-    levels = {f"{level}.{name}": rows for level in LEVELS for name, rows in vars(getattr(gains, level)).items()}
-    singles = {name: getattr(gains, name)[:, 0] for name in ("most_tilt", "thrust_base", "least_thrust")}
-    return levels | {"most_velocity": gains.most_velocity} | singles
-
-
-@wp.func
-def load_level(source: wp.array2d[float], first: int, env: int) -> LevelRows:
-    """Return one level of one environment."""
-    level = LevelRows()
-    level.proportional = read_vec3(source, first, env)
-    level.integral = read_vec3(source, first + 3, env)
-    level.derivative = read_vec3(source, first + 6, env)
-    level.limit = read_vec3(source, first + 9, env)
-    return level
-
-
-@wp.func
-def load_pid(source: wp.array2d[float], first: int, env: int) -> PidRows:
-    """Return the gains of one environment from the rows of (N, E)."""
-    gains = PidRows()
-    gains.position = load_level(source, first, env)
-    gains.velocity = load_level(source, first + NUM_OF_LEVEL, env)
-    gains.attitude = load_level(source, first + 2 * NUM_OF_LEVEL, env)
-    gains.rates = load_level(source, first + 3 * NUM_OF_LEVEL, env)
-    at = first + 4 * NUM_OF_LEVEL
-    gains.most_velocity = read_vec3(source, at, env)
-    gains.most_tilt = source[at + 3, env]
-    gains.thrust_base = source[at + 4, env]
-    gains.least_thrust = source[at + 5, env]
-    return gains
 
 
 @wp.func

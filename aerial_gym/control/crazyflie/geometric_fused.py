@@ -16,7 +16,6 @@ from aerial_gym.control.lee_fused import (
     attitude_torque,
     gain_rows,
     limited_force,
-    load_gains,
     rate_torque,
     read_vec3,
     write_vec3,
@@ -34,9 +33,6 @@ if TYPE_CHECKING:
 
 INTEGRALS = ("position_integral", "position_limit", "attitude_integral", "attitude_limit")
 
-NUM_OF_LEE = 25
-"""Numbers of ``lee_fused.Gains``."""
-
 
 @wp.struct
 class IntegralRows:
@@ -51,20 +47,10 @@ class IntegralRows:
 
 def integral_rows(gains: "IntegralGains") -> Mapping[str, Tensor]:
     """Return the fields of ``IntegralRows`` in their order, each (E, ...)."""
-    return {**gain_rows(gains.lee), **{name: getattr(gains, name) for name in INTEGRALS}}
-
-
-@wp.func
-def load_integrals(source: wp.array2d[float], first: int, env: int) -> IntegralRows:
-    """Return the gains of one environment from the rows of (N, E)."""
-    gains = IntegralRows()
-    gains.lee = load_gains(source, first, env)
-    at = first + NUM_OF_LEE
-    gains.position_integral = read_vec3(source, at, env)
-    gains.position_limit = read_vec3(source, at + 3, env)
-    gains.attitude_integral = read_vec3(source, at + 6, env)
-    gains.attitude_limit = read_vec3(source, at + 9, env)
-    return gains
+    return {
+        **{f"lee.{name}": rows for name, rows in gain_rows(gains.lee).items()},
+        **{name: getattr(gains, name) for name in INTEGRALS},
+    }
 
 
 def geometric_maker(timing: Timing, layout: "Layout") -> Maker:

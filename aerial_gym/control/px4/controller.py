@@ -10,7 +10,7 @@ Frames: world z up, body x forward, y left, z up. Letters: E environments, R rot
 
 from collections.abc import Mapping
 from dataclasses import replace
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
 
 import torch
 from torch import Tensor
@@ -32,7 +32,7 @@ from aerial_gym.control.remembering import RememberingController, layout_of
 from aerial_gym.control.timing import timing_of
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_from_euler, quat_from_yaw, quat_rotate, yaw_from_quat
-from aerial_gym.physics.fused.law import FusedLaw
+from aerial_gym.physics.fused.law import FusedLaw, gain_rows
 from aerial_gym.physics.law_memory import LawMemory
 from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.physics.state import BodyState
@@ -172,8 +172,7 @@ class Px4Controller(RememberingController):
                 airmode=self._airmode,
             ),
             gains_type=px4_fused.Px4Rows,
-            load_gains=px4_fused.load_gains,
-            gains=px4_fused.gain_rows(self.gains),
+            gains=gain_rows(px4_fused.Px4Rows, SimpleNamespace(**(vars(self.gains) | vars(self.gains.position)))),
         )
 
 

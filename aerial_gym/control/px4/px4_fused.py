@@ -5,11 +5,10 @@ and stand in the code.
 Frames: world z up, body x forward, y left, z up. Letters: E environments, R rotors.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import warp as wp
-from torch import Tensor
 
 from aerial_gym.control.cascade_fused import make_allot, make_remembering, make_two_levels
 from aerial_gym.control.filters.biquad_fused import make_filter
@@ -25,7 +24,7 @@ from aerial_gym.physics.fused.memory import LawArrays
 from aerial_gym.physics.fused.types import rotor_types
 
 if TYPE_CHECKING:
-    from aerial_gym.control.px4.parameters import Px4Filters, Px4Gains
+    from aerial_gym.control.px4.parameters import Px4Filters
     from aerial_gym.control.remembering import Layout
 
 
@@ -56,44 +55,6 @@ class Px4Rows:
     tilt: float  # [rad]
     hover: float  # [-]
     gravity: float  # [m/s²]
-
-
-def gain_rows(gains: "Px4Gains") -> Mapping[str, Tensor]:
-    """Return the fields of ``Px4Rows`` in their order, each (E, ...)."""
-    rows = {name: tensor for name, tensor in vars(gains).items() if name != "position"} | vars(gains.position)
-    return {
-        name: rows[name][:, 0] if kind is float else rows[name] for name, kind in Px4Rows.cls.__annotations__.items()
-    }
-
-
-@wp.func
-def load_gains(source: wp.array2d[float], first: int, env: int) -> Px4Rows:
-    """Return the parameters of one environment from the rows of (N, E)."""
-    gains = Px4Rows()
-    gains.rate = read_vec3(source, first, env)
-    gains.rate_integral = read_vec3(source, first + 3, env)
-    gains.rate_derivative = read_vec3(source, first + 6, env)
-    gains.rate_forward = read_vec3(source, first + 9, env)
-    gains.integral_limit = read_vec3(source, first + 12, env)
-    gains.attitude = read_vec3(source, first + 15, env)
-    gains.rate_limit = read_vec3(source, first + 18, env)
-    gains.unit_torque = read_vec3(source, first + 21, env)
-    gains.position = read_vec3(source, first + 24, env)
-    gains.velocity = read_vec3(source, first + 27, env)
-    gains.integral = read_vec3(source, first + 30, env)
-    gains.derivative = read_vec3(source, first + 33, env)
-    gains.unit_thrust = source[first + 36, env]
-    gains.yaw_weight = source[first + 37, env]
-    gains.speed = source[first + 38, env]
-    gains.up = source[first + 39, env]
-    gains.down = source[first + 40, env]
-    gains.least_thrust = source[first + 41, env]
-    gains.most_thrust = source[first + 42, env]
-    gains.margin = source[first + 43, env]
-    gains.tilt = source[first + 44, env]
-    gains.hover = source[first + 45, env]
-    gains.gravity = source[first + 46, env]
-    return gains
 
 
 @wp.func

@@ -22,6 +22,18 @@ class NoGains:
     nothing: float
 
 
+def gain_rows(struct: Any, gains: Any) -> dict[str, Tensor]:
+    """Return ``FusedLaw.gains`` for a struct from an object with the same attributes, (E, ...), floats as (E, 1)."""
+    rows: dict[str, Tensor] = {}
+    for name, kind in struct.cls.__annotations__.items():
+        value = getattr(gains, name)
+        if hasattr(kind, "cls"):
+            rows |= {f"{name}.{inner}": row for inner, row in gain_rows(kind, value).items()}
+        else:
+            rows[name] = value[:, 0] if kind is float else value
+    return rows
+
+
 @dataclass(frozen=True, kw_only=True)
 class FusedLaw:
     """A control law as Warp code with its parameters.
@@ -82,9 +94,6 @@ class FusedLaw:
 
     gains_type: Any = None
     """``wp.struct`` of the gains."""
-
-    load_gains: wp.Function | None = None
-    """``wp.func`` (packed: wp.array2d[float], first: int, env: int) -> gains, from rows ``first``... of (N, E)."""
 
     gains: Mapping[str, Tensor] = field(default_factory=dict)
     """A tensor (E, ...) for each field of ``gains_type``, in its order; ``a.b`` is the field b of the struct a in it."""

@@ -3,15 +3,18 @@
 Letters: E environments, R rotors, N packed numbers.
 """
 
+import linecache
 from collections.abc import Mapping
 from functools import cache
+from itertools import count
+from math import prod
 from typing import Any
 
 import warp as wp
 
 from aerial_gym.physics.fused.law import FusedLaw, NoGains
 from aerial_gym.physics.fused.packing import COMMAND_COLUMNS
-from aerial_gym.physics.fused.types import RotorTypes, vector_of
+from aerial_gym.physics.fused.types import RotorTypes
 
 
 @cache
@@ -63,107 +66,90 @@ def make_vehicle_reader(
     types: RotorTypes, packed: Mapping[str, int], entries: Mapping[str, tuple[int, ...]]
 ) -> wp.Function:
     """Return a function that completes the shared vehicle with what is per environment."""
-    at, num_rotors = packed.get, types.vector._length_
-    vehicle_type = types.vehicle
-    vec3, mat33 = make_reader(wp.vec3, 3, 0), read_symmetric if "inertia" in entries else make_reader(wp.mat33, 3, 3)
-    vector, rows = make_reader(types.vector, num_rotors, 0), make_reader(types.rows, num_rotors, 3)
-    squares = make_column_reader(types.rows, num_rotors, 2, 1)
-    thrust_maps, torque_maps = (squares if name in entries else rows for name in ("thrust_map", "torque_map"))
-    battery = make_reader(vector_of(6), 6, 0)
-
-    @wp.func
-    def read(shared: vehicle_type, source: wp.array2d[float], env: int) -> vehicle_type:
-        vehicle = shared
-        if wp.static("mass_inverse" in packed):
-            vehicle.mass_inverse = source[wp.static(at("mass_inverse", 0)), env]
-        if wp.static("inertia" in packed):
-            vehicle.inertia = mat33(source, wp.static(at("inertia", 0)), env)
-            vehicle.inertia_inverse = mat33(source, wp.static(at("inertia_inverse", 0)), env)
-        if wp.static("com" in packed):
-            vehicle.com = vec3(source, wp.static(at("com", 0)), env)
-        if wp.static("thrust_map" in packed):
-            vehicle.thrust_map = thrust_maps(source, wp.static(at("thrust_map", 0)), env)
-        if wp.static("torque_map" in packed):
-            vehicle.torque_map = torque_maps(source, wp.static(at("torque_map", 0)), env)
-        if wp.static("rotor_axis" in packed):
-            vehicle.rotor_axis = rows(source, wp.static(at("rotor_axis", 0)), env)
-        if wp.static("rotor_moment" in packed):
-            vehicle.rotor_moment = rows(source, wp.static(at("rotor_moment", 0)), env)
-        if wp.static("rotor_lever" in packed):
-            vehicle.rotor_lever = rows(source, wp.static(at("rotor_lever", 0)), env)
-        if wp.static("rotor_radius" in packed):
-            vehicle.rotor_radius = vector(source, wp.static(at("rotor_radius", 0)), env)
-        if wp.static("rotor_reaction" in packed):
-            vehicle.rotor_reaction = rows(source, wp.static(at("rotor_reaction", 0)), env)
-        if wp.static("reverse_thrust_map" in packed):
-            vehicle.reverse_thrust_map = rows(source, wp.static(at("reverse_thrust_map", 0)), env)
-        if wp.static("reverse_torque_map" in packed):
-            vehicle.reverse_torque_map = rows(source, wp.static(at("reverse_torque_map", 0)), env)
-        if wp.static("tau_up" in packed):
-            vehicle.tau_up = vector(source, wp.static(at("tau_up", 0)), env)
-        if wp.static("tau_down" in packed):
-            vehicle.tau_down = vector(source, wp.static(at("tau_down", 0)), env)
-        if wp.static("slew_up" in packed):
-            vehicle.slew_up = vector(source, wp.static(at("slew_up", 0)), env)
-        if wp.static("slew_down" in packed):
-            vehicle.slew_down = vector(source, wp.static(at("slew_down", 0)), env)
-        if wp.static("dead_band" in packed):
-            vehicle.dead_band = vector(source, wp.static(at("dead_band", 0)), env)
-        if wp.static("decay_up" in packed):
-            vehicle.decay_up = vector(source, wp.static(at("decay_up", 0)), env)
-        if wp.static("decay_down" in packed):
-            vehicle.decay_down = vector(source, wp.static(at("decay_down", 0)), env)
-        if wp.static("battery" in packed):
-            vehicle.battery = battery(source, wp.static(at("battery", 0)), env)
-        if wp.static("ground_height" in packed):
-            vehicle.ground_height = source[wp.static(at("ground_height", 0)), env]
-        if wp.static("other_position" in packed):
-            vehicle.other_position = vec3(source, wp.static(at("other_position", 0)), env)
-        return vehicle
-
-    return read
+    num_rotors = types.vector._length_
+    few: dict[str, wp.Function] = {}
+    if "inertia" in entries:
+        few |= dict.fromkeys(("inertia", "inertia_inverse"), read_symmetric)
+    for name in {"thrust_map", "torque_map"} & entries.keys():
+        few[name] = make_column_reader(types.rows, num_rotors, 2, 1)
+    return make_completion(types.vehicle, packed, few)
 
 
 def make_command_reader(
     types: RotorTypes, packed: Mapping[str, int], entries: Mapping[str, tuple[int, ...]]
 ) -> wp.Function:
     """Return a function that completes the shared command parameters with what is per environment."""
-    at, num_rotors = packed.get, types.vector._length_
-    command_type = types.command
-    vector, rows = make_reader(types.vector, num_rotors, 0), make_reader(types.rows, num_rotors, 3)
-    matrix, speed_map = make_reader(types.allocation, num_rotors, 6), rows
-    if "allocation" in entries:
-        matrix = make_column_reader(types.allocation, num_rotors, *_ends(COMMAND_COLUMNS["allocation"]))
-    if "speed_map" in entries:
-        speed_map = make_column_reader(types.rows, num_rotors, *_ends(COMMAND_COLUMNS["speed_map"]))
-
-    @wp.func
-    def read(shared: command_type, source: wp.array2d[float], env: int) -> command_type:
-        command = shared
-        if wp.static("low" in packed):
-            command.low = vector(source, wp.static(at("low", 0)), env)
-        if wp.static("high" in packed):
-            command.high = vector(source, wp.static(at("high", 0)), env)
-        if wp.static("thrust_map" in packed):
-            command.thrust_map = rows(source, wp.static(at("thrust_map", 0)), env)
-        if wp.static("reverse_thrust_map" in packed):
-            command.reverse_thrust_map = rows(source, wp.static(at("reverse_thrust_map", 0)), env)
-        if wp.static("speed_map" in packed):
-            command.speed_map = speed_map(source, wp.static(at("speed_map", 0)), env)
-        if wp.static("allocation" in packed):
-            command.allocation = matrix(source, wp.static(at("allocation", 0)), env)
-        return command
-
-    return read
+    kinds, num_rotors = types.command.cls.__annotations__, types.vector._length_
+    columns = {name: COMMAND_COLUMNS[name] for name in entries}
+    few = {name: make_column_reader(kinds[name], num_rotors, c.start, len(c)) for name, c in columns.items()}
+    return make_completion(types.command, packed, few)
 
 
-def _ends(columns: range) -> tuple[int, int]:
-    return columns.start, len(columns)
+def make_completion(struct: Any, packed: Mapping[str, int], few: Mapping[str, wp.Function]) -> wp.Function:
+    """Return ``wp.func`` (shared struct, packed tensor, environment) -> the struct with its packed fields in place.
+
+    Args:
+        struct: Type of the struct.
+        packed: First row of each packed field.
+        few: Readers of fields of which only some entries are packed.
+    """
+    kinds = {name: kind for name, kind in struct.cls.__annotations__.items() if name in packed}
+    names: dict[str, Any] = {f"read_{n}": few[n] if n in few else _reader_of(kind) for n, kind in kinds.items()}
+    lines = [f"    value.{name} = read_{name}(source, {packed[name]}, env)" for name in kinds]
+    head = "def complete(shared: struct, source: wp.array2d[float], env: int) -> struct:\n    value = shared\n"
+    return written("complete", head + "\n".join([*lines, "    return value"]), {**names, "struct": struct})
+
+
+def _reader_of(kind: Any) -> wp.Function:
+    if kind is float:
+        return read_number
+    height, *width = kind._shape_
+    return make_reader(kind, height, *(width or (0,)))
+
+
+@wp.func
+def read_number(source: wp.array2d[float], first: int, env: int) -> float:
+    """Return one number of one environment."""
+    return source[first, env]
+
+
+def num_entries(kind: Any) -> int:
+    """Return how many numbers a float, a vector, a matrix or a struct of those has."""
+    if hasattr(kind, "cls"):
+        return sum(map(num_entries, kind.cls.__annotations__.values()))
+    return 1 if kind is float else prod(kind._shape_)
+
+
+@cache
+def make_struct_reader(struct: Any) -> wp.Function:
+    """Return ``wp.func`` (packed tensor, first row, environment) -> struct; its fields are packed in their order."""
+    at, names, lines = 0, {"struct": struct}, []
+    for name, kind in struct.cls.__annotations__.items():
+        names[f"make_{name}"] = make_struct_reader(kind) if hasattr(kind, "cls") else kind
+        size = num_entries(kind)
+        numbers = ", ".join(f"source[first + {at + i}, env]" for i in range(size))
+        given = f"source, first + {at}, env" if hasattr(kind, "cls") else numbers
+        lines.append(f"    value.{name} = " + (numbers if kind is float else f"make_{name}({given})"))
+        at += size
+    head = "def read(source: wp.array2d[float], first: int, env: int) -> struct:\n    value = struct()\n"
+    return written("read", head + "\n".join([*lines, "    return value"]), names)
+
+
+def written(name: str, code: str, names: Mapping[str, Any]) -> wp.Function:
+    """Return the ``wp.func`` of a source, which may call ``names``."""
+    file = f"<{__name__} {next(_number)}>"
+    linecache.cache[file] = (len(code), None, code.splitlines(keepends=True), file)  # where Warp looks for the source
+    namespace = {"wp": wp, "__name__": __name__, **names}
+    exec(compile(code, file, "exec"), namespace)
+    return wp.func(namespace[name])
+
+
+_number = count()
 
 
 def make_gains_reader(law: FusedLaw, first: int | None) -> wp.Function:
     """Return a function to the gains of an environment; ``first`` is their row, None where all have the same."""
-    gains_type, load = law.gains_type or NoGains, law.load_gains
+    gains_type = law.gains_type or NoGains
 
     @wp.func
     def shared_gains(shared: gains_type, source: wp.array2d[float], env: int) -> gains_type:
@@ -171,6 +157,7 @@ def make_gains_reader(law: FusedLaw, first: int | None) -> wp.Function:
 
     if first is None:
         return shared_gains
+    load = make_struct_reader(gains_type)
 
     @wp.func
     def own_gains(shared: gains_type, source: wp.array2d[float], env: int) -> gains_type:
