@@ -107,15 +107,6 @@ def test_a_law_holds_a_point_by_attitude_velocities_and_accelerations(told: Told
         assert stay == 100.0
 
 
-@pytest.mark.slow  # six flights
-def test_a_law_that_knows_of_a_lost_rotor_hovers_without_it(told: Told) -> None:
-    """Not told, it loses the vehicle also where most of the thrust is left; told, it holds the point with any part, or none."""
-    flown = told("lost_rotor.py", 32)
-    assert len(flown) == 6
-    assert all(lost > 90.0 for what, (lost, *_) in flown if "not told" in what)
-    assert all(numbers[0] == 0.0 and numbers[1] < 0.02 for what, numbers in flown if "not told" not in what)
-
-
 @pytest.mark.slow
 def test_a_law_that_waits_above_a_platform_lands_on_it(told: Told) -> None:
     """Straight to it a vehicle touches its edge, or touches it too fast."""
