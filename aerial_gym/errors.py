@@ -1,4 +1,6 @@
-"""Exceptions that users see. Every message names the thing, its value, the rule and the way out."""
+"""Exceptions that users see. Every message names the thing, its value, the rule and the remedy."""
+
+from collections.abc import Iterable
 
 LONGEST_SENTENCE = 1200
 """Characters of a message; a value of thousands of characters that it names is cut out of its middle."""
@@ -55,3 +57,11 @@ class TrainingError(AerialGymError, RuntimeError):
 
 class ClosedError(AerialGymError, AttributeError):
     """A simulation or a task is used after ``close``."""
+
+
+def did_you_mean(name: object, known: Iterable[str]) -> str:
+    """Return the sentence that names the nearest known name, after a space; nothing if none is near."""
+    from difflib import get_close_matches
+
+    near = get_close_matches(str(name), list(known), n=1)
+    return f" Did you mean {near[0]!r}?" if near else ""

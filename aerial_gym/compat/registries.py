@@ -6,7 +6,6 @@ relatives hold what this package and its users register for good.
 """
 
 from collections.abc import Callable, Mapping
-from difflib import get_close_matches
 from inspect import isclass
 from typing import Any, NoReturn
 
@@ -17,7 +16,7 @@ from aerial_gym.config.randomize import Randomize
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS
 from aerial_gym.env_manager.sim_builder import environment_by_name
-from aerial_gym.errors import CapabilityError, ConfigError, DuplicateNameError, UnknownNameError
+from aerial_gym.errors import CapabilityError, ConfigError, DuplicateNameError, UnknownNameError, did_you_mean
 from aerial_gym.registry import Registry
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.catalog import robot_by_name
@@ -52,9 +51,7 @@ class _Names:
         if name in self.built_in or name in self.ours:
             return None
         names = self._names()
-        near = get_close_matches(name, names, n=1)
-        hint = f" Did you mean {near[0]!r}?" if near else ""
-        raise UnknownNameError(f"no {self.kind} {name!r}.{hint} Known: {', '.join(names)}")
+        raise UnknownNameError(f"no {self.kind} {name!r}.{did_you_mean(name, names)} Known: {', '.join(names)}")
 
 
 def _same_class(a: Any, b: Any) -> bool:

@@ -6,14 +6,13 @@ into the tensor that the simulation reads, where there the reference alone was r
 
 from collections.abc import Callable, Iterator, MutableMapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from aerial_gym.env_manager import EnvManager
-from aerial_gym.errors import OwnershipError, UnknownNameError
+from aerial_gym.errors import OwnershipError, UnknownNameError, did_you_mean
 
 Read = Callable[[EnvManager], Any]
 
@@ -185,7 +184,7 @@ class TensorDict(MutableMapping[str, Any]):
             return self._env.gtd[name] if key is None or key.read is None else key.read(self._env)
         except UnknownNameError:
             remark = "" if key is None or not key.remark else f" {key.remark}."
-            near = "" if key else _nearest(name, self)
+            near = "" if key else did_you_mean(name, self)
             raise UnknownNameError(
                 f"no tensor key {name!r} in this simulation.{near}{remark} Known: {', '.join(sorted(self))}"
             ) from None
@@ -227,8 +226,3 @@ class TensorDict(MutableMapping[str, Any]):
 
     def __str__(self) -> str:
         return str(self._env.gtd)
-
-
-def _nearest(name: str, known: TensorDict) -> str:
-    near = get_close_matches(name, list(known), n=1)
-    return f" Did you mean {near[0]!r}?" if near else ""

@@ -6,13 +6,12 @@ replaces what the base says. Of a list whose entries have names, such as joints,
 """
 
 from collections.abc import Callable, Mapping
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TypeVar
 
 from aerial_gym.config.loader import build, files_of, read_yaml, shown, to_mapping
 from aerial_gym.config.sensor_mount import is_file
-from aerial_gym.errors import ConfigError
+from aerial_gym.errors import ConfigError, did_you_mean
 
 T = TypeVar("T")
 
@@ -53,8 +52,7 @@ def _base_of(path: Path, name: object, family: str) -> Path:
     known = files_of(family)
     if name in known:
         return known[name]
-    near = get_close_matches(name, known, n=1)
-    hint = f" Did you mean {near[0]!r}?" if near else ""
+    hint = did_you_mean(name, known)
     raise ConfigError(
         f"{path}: extends = {shown(name)}: no file of that name comes with the package.{hint} Known: {', '.join(known)}; "
         "a file of your own is told by its path, which ends in .yaml"

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Mapping
-from difflib import get_close_matches
 from math import inf
 from pathlib import Path
 from types import NoneType, UnionType
@@ -11,7 +10,7 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 import yaml
 
 from aerial_gym.config.checks import LARGEST_SINGLE
-from aerial_gym.errors import ConfigError
+from aerial_gym.errors import ConfigError, did_you_mean
 
 T = TypeVar("T")
 
@@ -99,9 +98,7 @@ def build(cls: type[T], data: Mapping[str, object], *, where: str) -> T:
         if key in moved:
             raise ConfigError(f"{where}: field {key!r} is gone: {moved[key]}")
         if key not in known:
-            near = get_close_matches(str(key), known, n=1)
-            hint = f" Did you mean {near[0]!r}?" if near else ""
-            raise ConfigError(f"{where}: unknown field {key!r}.{hint} Known: {', '.join(known)}")
+            raise ConfigError(f"{where}: unknown field {key!r}.{did_you_mean(key, known)} Known: {', '.join(known)}")
     values = {key: convert(hints[key], value, f"{where}: {key}") for key, value in data.items()}
     for name, field in known.items():
         required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING

@@ -4,7 +4,6 @@ The common part stands in ``range_sensor``, the models in ``camera``, ``lidar`` 
 """
 
 from dataclasses import replace
-from difflib import get_close_matches
 from pathlib import Path
 
 from aerial_gym.config.camera import CameraCfg, FisheyeCfg, StereoCfg
@@ -13,7 +12,7 @@ from aerial_gym.config.lidar import LidarCfg, RayTableCfg
 from aerial_gym.config.loader import build, read_yaml, shown
 from aerial_gym.config.range_sensor import FRAMES, KINDS, LightCfg, NoiseCfg, RangeSensorCfg
 from aerial_gym.config.rosette import PrismCfg, RosetteCfg
-from aerial_gym.errors import ConfigError
+from aerial_gym.errors import ConfigError, did_you_mean
 
 __all__ = [
     "FRAMES",
@@ -68,9 +67,9 @@ def load_any_sensor(path: str | Path) -> SensorCfg:
     if model == "imu" or ("model" not in data and any(str(key).startswith(("accel_", "gyro_")) for key in data)):
         return build(ImuCfg, data, where=str(path))
     if not isinstance(model, str) or model not in MODELS:
-        near = get_close_matches(str(model), MODELS, n=1)
-        hint = f" Did you mean {near[0]!r}?" if near else ""
-        raise ConfigError(f"{path}: model = {shown(model)}: must be one of {', '.join(MODELS)}, imu.{hint}")
+        raise ConfigError(
+            f"{path}: model = {shown(model)}: must be one of {', '.join(MODELS)}, imu.{did_you_mean(model, MODELS)}"
+        )
     cfg = build(MODELS[str(model)], data, where=str(path))
     if isinstance(cfg, RayTableCfg | RosetteCfg) and cfg.path is not None:
         return replace(cfg, path=str(Path(path).resolve().parent / cfg.path))

@@ -2,10 +2,9 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import Generic, TypeVar, cast
 
-from aerial_gym.errors import DuplicateNameError, UnknownNameError
+from aerial_gym.errors import DuplicateNameError, UnknownNameError, did_you_mean
 
 T = TypeVar("T")
 
@@ -51,10 +50,10 @@ class Registry(Generic[T]):
         try:
             entry = self._entries[name]
         except KeyError:
-            near = get_close_matches(name, self._entries, n=1)
-            hint = f" Did you mean {near[0]!r}?" if near else ""
             known = ", ".join(sorted(self._entries)) or "none"
-            raise UnknownNameError(f"no {self._kind} {name!r}.{hint} Known: {known}") from None
+            raise UnknownNameError(
+                f"no {self._kind} {name!r}.{did_you_mean(name, self._entries)} Known: {known}"
+            ) from None
         if isinstance(entry, _Later):
             entry = self._entries[name] = entry.make()
         return cast("T", entry)

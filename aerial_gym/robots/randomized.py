@@ -6,7 +6,6 @@ Letters: E environments, R rotors, K drawn numbers, P parameters of an effect.
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from math import inf, prod
 
 import torch
@@ -14,7 +13,7 @@ from torch import Tensor
 
 from aerial_gym.config.randomize import Randomize, RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.errors import ConfigError
+from aerial_gym.errors import ConfigError, did_you_mean
 from aerial_gym.physics import EFFECTS, Vehicle
 from aerial_gym.physics.effects import Effect, Parameter
 from aerial_gym.physics.vehicle import own_rows, share_row
@@ -50,9 +49,9 @@ def check_names(cfg: Randomize, known: Sequence[str]) -> None:
     """Raise ``ConfigError`` that names the nearest known quantity if one is unknown."""
     for name in cfg:
         if name not in known:
-            near = get_close_matches(name, known, n=1)
-            hint = f" Did you mean {near[0]!r}?" if near else ""
-            raise ConfigError(f"randomize: no quantity {name!r}.{hint} docs/randomisation.md lists them")
+            raise ConfigError(
+                f"randomize: no quantity {name!r}.{did_you_mean(name, known)} docs/randomisation.md lists them"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

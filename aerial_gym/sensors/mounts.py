@@ -5,7 +5,6 @@ Frames: body is x forward, y left, z up.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from typing import Generic, TypeVar
 
 import torch
@@ -16,7 +15,7 @@ from aerial_gym.config.randomize import Randomize, RandomizeCfg
 from aerial_gym.config.sensor import RangeSensorCfg, SensorCfg, load_any_sensor
 from aerial_gym.config.sensor_mount import SensorMountCfg, is_file
 from aerial_gym.config.shape import BASE
-from aerial_gym.errors import ConfigError
+from aerial_gym.errors import ConfigError, did_you_mean
 from aerial_gym.math.quaternion import (
     quat_conjugate,
     quat_from_euler,
@@ -146,9 +145,9 @@ def _check_places(places: Randomize, mounts: Sequence[SensorMountCfg]) -> None:
     known = [f"sensors.{mount.key}.{what}" for mount in mounts for what in PLACE]
     for name, each in places.items():
         if name not in known:
-            near = get_close_matches(name, known, n=1)
-            hint = f" Did you mean {near[0]!r}?" if near else ""
-            raise ConfigError(f"randomize: no quantity {name!r}.{hint} Known: {', '.join(known) or 'no sensor'}")
+            raise ConfigError(
+                f"randomize: no quantity {name!r}.{did_you_mean(name, known)} Known: {', '.join(known) or 'no sensor'}"
+            )
         if each.how != "offset" or each.distribution != "uniform":
             raise ConfigError(f"randomize: {name}: places of sensors take uniform offsets (how: offset)")
 

@@ -5,12 +5,11 @@ Letters: E environments, U entries of a command, V entries of an action.
 
 import re
 from collections.abc import Callable, Iterator, Mapping
-from difflib import get_close_matches
 
 import torch
 from torch import Tensor
 
-from aerial_gym.errors import DuplicateNameError, UnknownNameError
+from aerial_gym.errors import DuplicateNameError, UnknownNameError, did_you_mean
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.task.step.traced import Graph
 from aerial_gym.task.terms.buffers import BUFFERS
@@ -83,10 +82,9 @@ class Values(Mapping[str, Tensor]):
         if name in BUFFERS:
             return self._make(name)
         known = sorted({*self.gtd, *self.own, *self._makers, *BUFFERS})
-        near = get_close_matches(name, known, n=1)
-        hint = f" Did you mean {near[0]!r}?" if near else ""
         raise UnknownNameError(
-            f"{reader} reads {name!r}, which is neither a key of the GTD nor a task buffer.{hint} Known: {', '.join(known)}"
+            f"{reader} reads {name!r}, which is neither a key of the GTD nor a task buffer."
+            f"{did_you_mean(name, known)} Known: {', '.join(known)}"
         )
 
     def _make(self, name: str) -> Tensor:

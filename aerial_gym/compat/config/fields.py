@@ -10,13 +10,12 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from inspect import isclass
 from typing import Any
 
 import numpy as np
 
-from aerial_gym.errors import ConfigError
+from aerial_gym.errors import ConfigError, did_you_mean
 
 STANDS_FOR = "_aerial_gym"
 """Attribute of a class that holds the frozen configuration that it stands for."""
@@ -137,10 +136,9 @@ class Table:
             elif any(other.startswith(f"{path}.") for other in known):
                 self._visit(value, f"{path}.", known, found, name=name)
             elif isclass(value) or not callable(value):
-                near = get_close_matches(path, known, n=1)
-                hint = f" Did you mean {near[0]!r}?" if near else ""
                 raise ConfigError(
-                    f"{name}.{path} = {value!r}: no such field ({self.kind}).{hint} Known: {', '.join(sorted(known))}. "
+                    f"{name}.{path} = {value!r}: no such field ({self.kind}).{did_you_mean(path, known)} "
+                    f"Known: {', '.join(sorted(known))}. "
                     "Names that are the class's own begin with an underscore"
                 )
 

@@ -6,7 +6,6 @@ the GTD or task buffers, (E, ...), and has one parameter. Whatever is known of a
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from functools import partial
 from inspect import Parameter, signature
 from typing import Any, TypeVar, get_type_hints
@@ -14,7 +13,7 @@ from typing import Any, TypeVar, get_type_hints
 from torch import Tensor
 
 from aerial_gym.config.loader import convert
-from aerial_gym.errors import ConfigError
+from aerial_gym.errors import ConfigError, did_you_mean
 from aerial_gym.registry import Registry
 
 Function = TypeVar("Function", bound=Callable[..., Tensor])
@@ -93,9 +92,7 @@ def checked(function: Callable[..., object], params: Mapping[str, object], label
     takes = ", ".join(known) or "none"
     for name in params:
         if name not in known:
-            near = get_close_matches(name, known, n=1)
-            hint = f" Did you mean {near[0]!r}?" if near else ""
-            raise ConfigError(f"{label}: no parameter {name!r}.{hint} It takes {takes}")
+            raise ConfigError(f"{label}: no parameter {name!r}.{did_you_mean(name, known)} It takes {takes}")
     missing = [name for name, each in known.items() if each.default is Parameter.empty and name not in params]
     if missing:
         raise ConfigError(f"{label}: parameter {missing[0]!r} is missing. It takes {takes}")
