@@ -18,11 +18,19 @@ Vec3 = tuple[float, float, float]
 
 
 def require_positive(config: object, *names: str) -> None:
-    """Raise ``ConfigError`` unless the named fields are finite and > 0 (NaN fails as well)."""
+    """Raise ``ConfigError`` unless the named numbers are finite and > 0, or None (NaN fails)."""
     for name in names:
         value = getattr(config, name)
-        if not 0.0 < value < inf:
+        if value is not None and not 0.0 < value < inf:
             raise ConfigError(f"{type(config).__name__}.{name} = {value!r}: must be > 0 and finite")
+
+
+def require_not_negative(config: object, *names: str) -> None:
+    """Raise ``ConfigError`` unless the named numbers, or tuples of numbers, are finite and >= 0, or None (NaN fails)."""
+    for name in names:
+        value = getattr(config, name)
+        if value is not None and not all(0.0 <= number < inf for number in _numbers(value)):
+            raise ConfigError(f"{type(config).__name__}.{name} = {value!r}: must be >= 0 and finite")
 
 
 def require_finite(config: object, *names: str) -> None:

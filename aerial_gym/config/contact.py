@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from math import inf, isnan
 
+from aerial_gym.config.checks import require_not_negative
 from aerial_gym.config.robot import require_positive
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
@@ -27,10 +28,7 @@ class ContactCfg:
 
     def __post_init__(self) -> None:
         require_positive(self, "sinking")
-        for name in ("friction", "damping_ratio"):
-            value = getattr(self, name)
-            if not 0.0 <= value < inf:
-                raise ConfigError(f"ContactCfg.{name} = {value!r}: must be >= 0 and finite")
+        require_not_negative(self, "friction", "damping_ratio")
         if isnan(self.crash_speed) or self.crash_speed < 0.0:
             raise ConfigError(f"ContactCfg.crash_speed = {self.crash_speed!r}: must be >= 0; .inf for no crash at all")
 

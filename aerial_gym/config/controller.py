@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import inf, pi
+from math import pi
 from typing import ClassVar, Literal
 
 from aerial_gym.config.autopilots.betaflight import BetaflightCfg
 from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyflieLeeCfg, CrazyfliePidCfg, MellingerCfg
 from aerial_gym.config.autopilots.px4 import Px4Cfg
-from aerial_gym.config.checks import Vec3, require_finite, require_positive
+from aerial_gym.config.checks import Vec3, require_finite, require_not_negative, require_positive
 from aerial_gym.errors import ConfigError
 
 _DRAWN_BY_NAME = (
@@ -136,13 +136,9 @@ class ControlCfg:
             )
         if not 0.0 < self.phase_margin < pi / 2:
             raise ConfigError(f"ControlCfg.phase_margin = {self.phase_margin!r}: must be > 0 and < pi/2 rad")
-        for name in ("attitude_frequency", "attitude_damping", "position_frequency", "position_damping"):
-            value = getattr(self, name)
-            if value is not None and not all(0.0 <= number < inf for number in value):
-                raise ConfigError(f"ControlCfg.{name} = {value!r}: must be >= 0 and finite")
-        require_positive(self, "max_yaw_rate", *(("max_inclination",) if self.max_inclination is not None else ()))
-        if not 0.0 <= self.buoyancy < inf:
-            raise ConfigError(f"ControlCfg.buoyancy = {self.buoyancy!r}: must be >= 0 and finite")
+        require_not_negative(self, "attitude_frequency", "attitude_damping", "position_frequency", "position_damping")
+        require_positive(self, "max_yaw_rate", "max_inclination")
+        require_not_negative(self, "buoyancy")
         if self.max_inclination is not None:
             _require_tilt(self, self.max_inclination)
 
@@ -185,11 +181,8 @@ class RateLoopCfg:
     """Where the numbers come from."""
 
     def __post_init__(self) -> None:
-        require_positive(self, *(name for name in ("rate_hz", "cutoff_hz") if getattr(self, name) is not None))
-        for name in ("proportional", "integral", "derivative", "integral_limit"):
-            value = getattr(self, name)
-            if value is not None and not all(0.0 <= number < inf for number in value):
-                raise ConfigError(f"RateLoopCfg.{name} = {value!r}: must be >= 0 and finite")
+        require_positive(self, "rate_hz", "cutoff_hz")
+        require_not_negative(self, "proportional", "integral", "derivative", "integral_limit")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -247,11 +240,8 @@ class ControllerCfg:
     result as it is."""
 
     def __post_init__(self) -> None:
-        if self.rate_hz is not None:
-            require_positive(self, "rate_hz")
-        for name in ("delay", "action_delay"):
-            if not 0.0 <= getattr(self, name) < inf:
-                raise ConfigError(f"ControllerCfg.{name} = {getattr(self, name)!r}: must be >= 0 and finite")
+        require_positive(self, "rate_hz")
+        require_not_negative(self, "delay", "action_delay")
         own = [name for name in AUTOPILOTS if getattr(self, name) is not None]
         if own and (self.rate_loop is not None or self.gains is not None):
             raise ConfigError(

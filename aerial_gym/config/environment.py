@@ -5,10 +5,10 @@ Frames: the environment's own world frame, z up; lengths in metres, angles in ra
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import inf, pi
+from math import pi
 from pathlib import Path
 
-from aerial_gym.config.checks import MAX_MADE, require_count
+from aerial_gym.config.checks import MAX_MADE, require_count, require_not_negative
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.lamp import LampCfg
 from aerial_gym.config.loader import load
@@ -193,8 +193,7 @@ class EnvironmentCfg:
             raise ConfigError(
                 f"EnvironmentCfg.ground_semantic_id = {self.ground_semantic_id!r}: must be 0 to {FIRST_INSTANCE_ID - 1}"
             )
-        if not 0.0 <= self.clearance < inf:
-            raise ConfigError(f"EnvironmentCfg.clearance = {self.clearance!r}: must be >= 0 and finite")
+        require_not_negative(self, "clearance")
         require_count(self, "physics_steps_per_env_step", most=MAX_MADE)
         for name in ("bounds_lower", "bounds_upper"):
             require_finite(self, f"{name}_low", f"{name}_high")

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 
-from aerial_gym.config.checks import Vec3, require_positive
+from aerial_gym.config.checks import Vec3, require_not_negative, require_positive
 from aerial_gym.config.loader import load
 from aerial_gym.config.placement import PlacementCfg
 from aerial_gym.errors import ConfigError
@@ -72,8 +72,7 @@ class ImuCfg(PlacementCfg):
             raise ConfigError(f"ImuCfg.model = {self.model!r}: must be 'imu'; another model is another class")
         if self.rate_hz is not None and not 0.0 < self.rate_hz < inf:
             raise ConfigError(f"ImuCfg.rate_hz = {self.rate_hz!r}: must be > 0 and finite, or None for every step")
-        if not 0.0 <= self.latency_s < inf:
-            raise ConfigError(f"ImuCfg.latency_s = {self.latency_s!r}: must be >= 0 and finite")
+        require_not_negative(self, "latency_s")
         require_positive(self, "accel_range", "gyro_range")
         self.check_placement()
         for kind in ("accel", "gyro"):

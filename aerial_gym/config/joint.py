@@ -9,17 +9,11 @@ SI units; coordinates of revolute joints in rad, of prismatic ones in m.
 from dataclasses import dataclass
 from math import inf, isclose, isfinite, sqrt
 
-from aerial_gym.config.checks import Vec3, require_finite, require_positive
+from aerial_gym.config.checks import Vec3, require_finite, require_not_negative, require_positive
 from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError
 
 DRIVE_MODES = ("position", "velocity", "effort")
-
-
-def _require_no_less(cfg: object, *names: str) -> None:
-    for name in names:
-        if not 0.0 <= getattr(cfg, name) < inf:
-            raise ConfigError(f"{type(cfg).__name__}.{name} = {getattr(cfg, name)!r}: must be >= 0 and finite")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,7 +89,7 @@ class SpringCfg:
     """Elements that relax; all have where an episode begins."""
 
     def __post_init__(self) -> None:
-        _require_no_less(self, "stiffness", "quadratic", "damping", "friction")
+        require_not_negative(self, "stiffness", "quadratic", "damping", "friction")
         require_finite(self, "rest", "preload")
 
 
@@ -122,9 +116,8 @@ class DriveCfg:
     def __post_init__(self) -> None:
         if self.mode not in DRIVE_MODES:
             raise ConfigError(f"DriveCfg.mode = {self.mode!r}: choose {', '.join(DRIVE_MODES)}")
-        _require_no_less(self, "stiffness", "damping")
-        if not 0.0 < self.limit < inf:
-            raise ConfigError(f"DriveCfg.limit = {self.limit!r}: must be > 0 and finite")
+        require_not_negative(self, "stiffness", "damping")
+        require_positive(self, "limit")
         low, high = self.command_range
         if not (isfinite(low) and isfinite(high) and low < high):
             raise ConfigError(f"DriveCfg.command_range = {self.command_range!r}: needs low < high")
@@ -152,9 +145,8 @@ class EndsCfg:
         require_finite(self, "low", "high")
         if not self.low < self.high:
             raise ConfigError(f"EndsCfg: low = {self.low!r} must be below high = {self.high!r}")
-        if not 0.0 < self.stiffness < inf:
-            raise ConfigError(f"EndsCfg.stiffness = {self.stiffness!r}: must be > 0 and finite")
-        _require_no_less(self, "damping")
+        require_positive(self, "stiffness")
+        require_not_negative(self, "damping")
 
 
 @dataclass(frozen=True, kw_only=True)

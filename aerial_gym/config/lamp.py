@@ -4,11 +4,9 @@ Frame: the environment's own world frame, z up; lengths in metres.
 """
 
 from dataclasses import dataclass
-from math import inf
 
-from aerial_gym.config.checks import Vec3, require_finite
+from aerial_gym.config.checks import Vec3, require_finite, require_positive
 from aerial_gym.config.shape import require_color
-from aerial_gym.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +25,5 @@ class LampCfg:
 
     def __post_init__(self) -> None:
         require_finite(self, "position")
-        if not 0.0 < self.intensity < inf:
-            raise ConfigError(f"LampCfg.intensity = {self.intensity!r}: must be > 0 and finite")
+        require_positive(self, "intensity")
         require_color(self, "color")

@@ -6,10 +6,10 @@ SI units throughout; rotor speeds in rad/s.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import inf, isfinite
+from math import isfinite
 from pathlib import Path
 
-from aerial_gym.config.checks import Vec3, require_finite, require_ordered, require_positive
+from aerial_gym.config.checks import Vec3, require_finite, require_not_negative, require_ordered, require_positive
 from aerial_gym.config.collision import BoxCfg, CapsuleCfg, CollisionCfg, CollisionShape, SphereCfg
 from aerial_gym.config.controller import ControlCfg
 from aerial_gym.config.extends import load_extended
@@ -111,8 +111,7 @@ class BatteryCfg:
             raise ConfigError(
                 f"BatteryCfg.empty_voltage = {self.empty_voltage!r}: must be at most full_voltage = {self.full_voltage!r}"
             )
-        if not 0.0 <= self.internal_resistance < inf:
-            raise ConfigError(f"BatteryCfg.internal_resistance = {self.internal_resistance!r}: must be >= 0 and finite")
+        require_not_negative(self, "internal_resistance")
         if self.efficiency > 1.0:
             raise ConfigError(f"BatteryCfg.efficiency = {self.efficiency!r}: must be at most 1")
 

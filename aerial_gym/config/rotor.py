@@ -8,7 +8,7 @@ the thrust of ``reverse_thrust_map`` at the size of w against its axis, and the 
 from dataclasses import dataclass
 from math import inf
 
-from aerial_gym.config.checks import Vec3, require_finite, require_positive
+from aerial_gym.config.checks import Vec3, require_finite, require_not_negative, require_positive
 from aerial_gym.errors import ConfigError
 
 ROTOR_TRAITS = ("reversible", "force", "slew", "dead_band")
@@ -72,12 +72,10 @@ class RotorCfg:
         low, high = self.thrust_range
         if not (low < high and high > 0.0):
             raise ConfigError(f"RotorCfg.thrust_range = {self.thrust_range!r}: needs low < high, and high > 0")
-        if not 0.0 <= self.dead_band < inf:
-            raise ConfigError(f"RotorCfg.dead_band = {self.dead_band!r}: must be >= 0 and finite")
+        require_not_negative(self, "dead_band")
         if (self.torque_ratio is None) == (self.torque_map is None):
             raise ConfigError("RotorCfg: give exactly one of torque_ratio and torque_map")
-        if self.torque_ratio is not None and not 0.0 <= self.torque_ratio < inf:
-            raise ConfigError(f"RotorCfg.torque_ratio = {self.torque_ratio!r}: must be >= 0 and finite")
+        require_not_negative(self, "torque_ratio")
         if self.mode == "force":
             self._check_force_mode()
         else:

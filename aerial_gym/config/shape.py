@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from math import inf, pi
 from pathlib import Path
 
-from aerial_gym.config.checks import MAX_MADE, Vec3, require_finite
+from aerial_gym.config.checks import MAX_MADE, Vec3, require_finite, require_positive
 from aerial_gym.errors import ConfigError
 
 FIRST_INSTANCE_ID = 100
@@ -59,8 +59,7 @@ class CheckerCfg:
     """Red, green, blue of every second field, each 0 to 1."""
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.size < inf:
-            raise ConfigError(f"CheckerCfg.size = {self.size!r}: must be > 0 and finite")
+        require_positive(self, "size")
         require_color(self, "color")
 
 
@@ -162,8 +161,7 @@ class ShapeCfg:
         for part in self.parts or ():
             if part.link != BASE:
                 raise ConfigError(f"ShapeCfg.parts: a part on link {part.link!r}: only a robot has links that move")
-        if not 0.0 < self.scale < inf:
-            raise ConfigError(f"ShapeCfg.scale = {self.scale!r}: must be > 0 and finite")
+        require_positive(self, "scale")
         if self.scale != 1.0 and self.kind != "mesh":
             raise ConfigError(
                 f"ShapeCfg.scale = {self.scale!r}: only a mesh is scaled; change the size of a {self.kind}"

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf, isfinite
 
-from aerial_gym.config.checks import MAX_MADE, require_single
+from aerial_gym.config.checks import MAX_MADE, require_not_negative, require_positive, require_single
 from aerial_gym.errors import ConfigError
 
 Params = Mapping[str, object]
@@ -103,8 +103,7 @@ class ObservationCfg:
     """Factor on every entry, noise included; finite and not 0."""
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.noise_std < inf:
-            raise ConfigError(f"ObservationCfg.noise_std = {self.noise_std!r}: must be >= 0 and finite")
+        require_not_negative(self, "noise_std")
         if not 0.0 <= self.dropout < 1.0:
             raise ConfigError(f"ObservationCfg.dropout = {self.dropout!r}: must be a probability, 0 <= dropout < 1")
         if not isfinite(self.dropout_value):
@@ -143,8 +142,7 @@ class ImageCfg:
     def __post_init__(self) -> None:
         if self.dtype not in IMAGE_TYPES:
             raise ConfigError(f"ImageCfg.dtype = {self.dtype!r}: must be {', '.join(IMAGE_TYPES)}")
-        if self.largest is not None and not 0.0 < self.largest < inf:
-            raise ConfigError(f"ImageCfg.largest = {self.largest!r}: must be > 0 and finite")
+        require_positive(self, "largest")
         if not 1 <= self.history <= MAX_MADE:
             raise ConfigError(f"ImageCfg.history = {self.history!r}: must be >= 1")
 
@@ -271,7 +269,4 @@ class ActionCfg:
 
     def __post_init__(self) -> None:
         _check_steps(self, "delay_steps")
-        if not 0.0 <= self.noise_std < inf:
-            raise ConfigError(f"ActionCfg.noise_std = {self.noise_std!r}: must be >= 0 and finite")
-        if not 0.0 <= self.filter_time_s < inf:
-            raise ConfigError(f"ActionCfg.filter_time_s = {self.filter_time_s!r}: must be >= 0 and finite")
+        require_not_negative(self, "noise_std", "filter_time_s")

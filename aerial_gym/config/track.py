@@ -4,9 +4,9 @@ Frames: world of each environment, z up; a gate is flown through along its own x
 """
 
 from dataclasses import dataclass
-from math import inf, pi
+from math import pi
 
-from aerial_gym.config.checks import Vec3, require_finite, require_ordered, require_positive
+from aerial_gym.config.checks import Vec3, require_finite, require_not_negative, require_ordered, require_positive
 from aerial_gym.errors import ConfigError
 
 GATES, POLES = "gates", "poles"
@@ -72,9 +72,7 @@ class LayoutCfg:
         require_finite(self, "lower", "upper")
         require_ordered(self, "lower", "upper")
         require_positive(self, "corridor")
-        for name in ("start_distance", "gate_distance", "pole_to_gate", "pole_distance"):
-            if not 0.0 <= getattr(self, name) < inf:
-                raise ConfigError(f"LayoutCfg.{name} = {getattr(self, name)!r}: must be >= 0 and finite")
+        require_not_negative(self, "start_distance", "gate_distance", "pole_to_gate", "pole_distance")
         if not 0.0 <= self.yaw_range <= pi:
             raise ConfigError(f"LayoutCfg.yaw_range = {self.yaw_range!r}: must be 0 to pi rad")
 
