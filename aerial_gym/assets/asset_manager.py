@@ -54,18 +54,14 @@ class AssetManager:
         """Draw which obstacles each environment has, build the scene and park everything until the first reset.
 
         Args:
-            cfg: What stands in an environment.
             gtd: Receives this manager's keys.
-            num_envs: Number of environments E.
             device: Where the tensors are.
-            random: Of the draws.
             bounds_min: Lower corner of the bounds [m], world, (E, 3); read at every reset.
             bounds_max: Upper corner [m], world, (E, 3).
             asset_state: Memory for the obstacle states, float32, (E, A, 13); allocated if not given.
             robot_radius: How far the robot reaches from its origin [m]; ``cfg.clearance`` is counted from there.
             robot_parts: What sensors see of the robot, in the frames of its links.
             robot_state: States of these, float32, (E, L, 13), or (E, 13) of one; needed if anything of it is seen.
-            robot_links: Their names, L of them.
 
         Raises:
             ConfigError: If a mesh or URDF file cannot be used.

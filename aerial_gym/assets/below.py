@@ -56,7 +56,6 @@ class SurfaceBelow:
         """Take views of the tensors, which must stay where they are.
 
         Args:
-            scene: What can stand below.
             position: Body origin [m], world, (E, 3); may be strided, but for the last axis.
             height_out: Receives the height of the first surface below [m], world, ``FARTHEST`` below where there is none,
                 float32, (E, 1).

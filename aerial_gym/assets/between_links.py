@@ -113,7 +113,6 @@ class BetweenLinks:
         """Take views of the tensors, which must stay where they are.
 
         Args:
-            cfg: The collision shapes.
             names: Of the links, L of them, the base first.
             parents: Link on which each but the base sits, L - 1 of them.
             pivots: Point of each link's frame that moves in a straight line between two poses [m], L of them.
@@ -186,7 +185,6 @@ def pairs_apart(
     """Return pairs of places in ``cfg.shapes`` on links that no joint connects, which are apart in the reference pose.
 
     Args:
-        cfg: The collision shapes.
         names: Of the links, L of them, the base first.
         parents: Link on which each but the base sits, L - 1 of them.
         device: Where their distance is measured.

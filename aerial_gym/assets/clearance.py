@@ -101,7 +101,6 @@ class Clearance:
         """Take what may be moved.
 
         Args:
-            scene: What stands where.
             obstacles: The same instances, and how they are drawn.
             mask: Of the environments whose obstacles may be moved, bool, (E,); kept.
             room: Least distance between a point and the surface of an instance [m].

@@ -82,14 +82,12 @@ class CollisionTest:
         """Take views of the tensors, which must stay where they are.
 
         Args:
-            scene: What must not be touched.
             shapes: The robot's collision shapes; none makes every distance infinite.
             position: Body origin [m], world, (E, 3); may be strided, but for the last axis.
             attitude: Body to world, xyzw, unit, (E, 4); likewise.
             distance_out: Receives the smallest signed distance [m], negative where they overlap, inf where there is
                 nothing to touch, float32, (E,).
             moving: The instances of the scene as ``step`` moves them; None if nothing moves.
-            links: Further links with shapes.
 
         Raises:
             ShapeError: If a tensor does not fit the scene.

@@ -173,7 +173,6 @@ class LookTable:
         """Append a shape that is one body.
 
         Args:
-            cfg: The shape.
             inherited: Colour of the compound whose part it is, if that has one.
             mesh: What its file brings along; used unless a colour is given. A mesh that was added before is stored once.
         """

@@ -36,7 +36,6 @@ def load_mesh(path: str | Path, *, scale: float, up: str | None = None) -> "trim
     """Return the triangles of a mesh file in metres, z up, scaled about its origin; a closed mesh is turned right side out.
 
     Args:
-        path: A file that trimesh reads.
         scale: Factor on the coordinates, after the unit of the file.
         up: Axis of the file that points up (``x``, ``y``, ``z``), in place of what the file says.
 

@@ -44,10 +44,8 @@ def view_obstacles(
     Args:
         state: Position, attitude, velocity and angular velocity, (E, A, 13); may be strided, but for the last axis.
         waypoints: Ends of the paths [m], world, (E, A, 2, 3); (0, 0, 2, 3) where no asset has waypoints.
-        table: A row for each asset.
         asset: Row of every instance, int32, (E, A), contiguous.
         bounds: Lower and upper corner [m], world, each (E, 3).
-        random: Of the draws.
     """
     arrays = Obstacles()
     arrays.table, arrays.asset = table, wp.from_torch(asset)

@@ -45,10 +45,7 @@ class Bounds:
         """Take what is written, and put every environment into the smallest lower and upper corner until it is reset.
 
         Args:
-            cfg: Their limits.
             lower: Lower corner [m], world, (E, 3), written where a mask says so.
-            upper: Upper corner, likewise.
-            random: Of the draws.
         """
         start_warp()
         envs, device = lower.shape[0], lower.device

@@ -54,7 +54,6 @@ class Scene:
         """Read the shapes and take views of the poses.
 
         Args:
-            shapes: The shape table.
             shape_index: Row of the shape table, integer, (E, A), or (A,) if all environments have the same.
             semantic_id: What segmentation shows, integer, (E, A) or (A,).
             asset_state: The caller's poses and velocities, float32, (E, A, 13): position [m], attitude xyzw (shape to
@@ -66,7 +65,6 @@ class Scene:
             robot_state: The caller's states of the robot's links, float32, (E, L, 13), laid out like those of the instances;
                 needed if anything of it is seen. (E, 13) of a robot that is one link. May be strided, but for the last axis.
                 Kept.
-            robot_links: Their names, L of them.
             lamps: Lights in colour images, the same in all environments.
 
         Raises:

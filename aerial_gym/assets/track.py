@@ -239,12 +239,10 @@ class TrackPlacement:
         """Take what is written and what it depends on.
 
         Args:
-            cfg: The track.
             obstacles: The instances, of which gates and poles are the first.
             gates: Places positions [m], world, (E, G, 3), and attitudes, gate to world, xyzw, (E, G, 4); written.
             poles: Places tops [m], world, (E, P, 3); written.
             start: Where the robot starts [m], world, (E, 3); read at every draw.
-            random: Of the draws.
         """
         start_warp()
         device = start.device

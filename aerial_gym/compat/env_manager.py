@@ -30,10 +30,6 @@ class EnvManager:
         """Take a built simulation and the configuration classes from which it was made.
 
         Args:
-            env: The simulation.
-            cfg: Environment class.
-            sim_config: Sim class.
-            robot_config: Robot class.
             reset_on_collision: Whether crashed environments are reset with the truncated ones.
         """
         self.env, self.cfg, self.sim_config = env, cfg, sim_config

@@ -45,10 +45,8 @@ class SimBuilder:
         """Return a simulation, built and not yet reset.
 
         Args:
-            sim_name: Registered sim, there or here.
             env_name: Registered environment, or a file of ours.
             robot_name: Registered robot, or a file of ours.
-            controller_name: Registered controller.
             device: Torch device; ``auto`` takes the GPU if there is one.
             args: Not used: the command line is the script's own.
             num_envs: Environments side by side; that of the environment class if not given.

@@ -23,7 +23,6 @@ def load_extended(
 
     Args:
         cls: As for ``build``.
-        path: The file.
         family: Folder of the package in which, and in whose rooms, names are looked up.
         located: Returns a configuration whose paths, relative to a folder, are found from anywhere.
 

@@ -111,8 +111,6 @@ class RandomizeCfg:
         """Return the lowest and the highest value that each component of a quantity takes.
 
         Args:
-            name: Of the quantity, for messages.
-            declared: Its components as declared.
             spread: Standard deviations beyond which nothing of a normal distribution is looked at.
 
         Raises:

@@ -58,10 +58,7 @@ def make_remembering(
     Twin of ``remembering.RememberingController.command``.
 
     Args:
-        law: Whose gains and actions.
-        num_rotors: R.
         general: Whether rotors are of any kind.
-        timing: When levels run.
         layout: Where numbers stand.
         run: ``wp.func`` of one run, with the arguments of ``remembering`` below and ``since``.
     """

@@ -181,8 +181,6 @@ def make_controller(
     """Return a controller for a declared vehicle.
 
     Args:
-        cfg: Which law, with which gains.
-        vehicle: As declared.
         gravity: Downward acceleration of free fall [m/s²].
         dt: Time step of the law [s]; needed by the geometric laws where gains are derived.
         control: What the robot file says of its control (``RobotCfg.control``); nothing if not given.

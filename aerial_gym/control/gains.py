@@ -61,9 +61,6 @@ def derived_gains(
     the rotors give at hover (``sqrt`` of the angular acceleration): weak yaw is slow, and without yaw torque it is left alone.
 
     Args:
-        cfg: What the robot file says.
-        vehicle: As declared.
-        allocation: Of the same vehicle.
         gravity: Downward acceleration of free fall [m/s²].
         dt: Time step of the control law [s].
         extra_lag: By which attitude is seen later than body rates [s]; the rate of turning stays what it is, and attitude is

@@ -88,9 +88,6 @@ def find_rest(loop: SampledLoop, start: Tensor, action: Tensor, kept: Sequence[i
     """Return the rest of loops, from starts (B, X) on, under an action (U,).
 
     Args:
-        loop: Vehicles and law.
-        start: First states.
-        action: Told to the law.
         kept: Numbers of the state vector that the law brings to rest; others stay as they are.
     """
     state, about = start, loop.linearised(start, action)
@@ -122,7 +119,6 @@ def distances(rest: Rest, *, rotors: Tensor, dt: float) -> Tensor:
     """Return the distances [m] of the body origins from their starts at moments of ``HOVER_SPAN``, (SAMPLES, B), linearised.
 
     Args:
-        rest: Of the loops.
         rotors: Their states at the start, which they keep until the first command has come, (R,).
         dt: Physics step [s].
     """

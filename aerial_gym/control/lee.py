@@ -83,7 +83,6 @@ def attitude_torque(gains: LeeGains, rotation: Tensor, desired: Tensor, ang_vel:
     """Return ``-K_R e_R - K_w e_w + w x J w`` [N m], body, (E, 3). Source: Lee (2010), eq. 16 without feed-forward.
 
     Args:
-        gains: Gains and inertia.
         rotation: Body to world R, (E, 3, 3).
         desired: Wanted body to world Rd, (E, 3, 3).
         ang_vel: Angular velocity w [rad/s], body, (E, 3).
@@ -115,11 +114,9 @@ def acceleration_wrench(
     """Return the wrench (E, 6), body, that gives an acceleration: ``F = m (a - g)``, thrust ``F . b3``, attitude along F.
 
     Args:
-        state: Measured motion.
         acceleration: Wanted acceleration [m/s²], world, (E, 3).
         yaw: Wanted heading [rad], (E,).
         yaw_rate: Rate at which the heading turns [rad/s], (E,); None if it does not.
-        gains: Gains and declared vehicle.
     """
     weight = gains.mass * gains.gravity
     lateral, up = acceleration[:, :2], acceleration[:, 2:] + gains.gravity

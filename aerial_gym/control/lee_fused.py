@@ -118,7 +118,6 @@ def force_wrench(
     """Return the wrench with the thrust of a force [N, world], and the torque that turns body z along it.
 
     Args:
-        gains: Gains.
         attitude: Body to world.
         ang_vel: [rad/s], body.
         force: World [N].

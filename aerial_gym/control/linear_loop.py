@@ -141,7 +141,6 @@ class SampledLoop:
             make_law: Returns the law for a declared vehicle of any number of rows.
             declared: The vehicle that the law knows; all rows are the first one.
             dt: Time step [s].
-            integrator: Name of the stepper.
         """
         self._model, self._declared, self._make_law = model, declared, make_law
         self.dt = dt

@@ -45,11 +45,8 @@ def check_closed_loop(
     result may be worth reproducing as it is: with ``ControllerCfg.if_unstable`` there is a warning instead.
 
     Args:
-        robot: What flies, with its effects.
-        controller: Law and gains.
         gravity: Downward acceleration of free fall [m/s²].
         dt: Time step [s].
-        integrator: Name of the stepper.
         names: Of robot and controller, for people.
         randomize: What is drawn, by name; the ends of its gains must come to rest as well.
 

@@ -150,10 +150,7 @@ class ClosedLoop:
         """Find hover, and the axes that the law and the rotors control.
 
         Args:
-            robot: As declared.
-            controller: Law and gains.
             gravity: Downward acceleration of free fall [m/s²].
-            integrator: Name of the stepper.
             names: Of robot and controller, for people.
             drawn: What is drawn of gains, by their own names.
             model: Vehicles in float64 on the CPU, of one dead time, in place of the robot with its effects.

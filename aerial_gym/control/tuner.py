@@ -81,7 +81,6 @@ def placed_gains(frequency: Tensor, damping: float, inner: Response) -> tuple[Te
     Args:
         frequency: Of the pair [rad/s], (E, 3).
         damping: Its damping ratio, < 1.
-        inner: H.
     """
     s = frequency * complex(-damping, sqrt(1.0 - damping**2))
     wanted = -s.square() / inner(s)
@@ -93,11 +92,9 @@ def tuned(inner: Response, lag: Tensor, *, bandwidth: Bandwidth, damping: float,
     """Return the gains with which a loop around H has a bandwidth and a damping ratio.
 
     Args:
-        inner: H.
         lag: All of its lag and dead time together [s], (E, 3); by it frequencies are bounded.
         bandwidth: At which the closed loop gives ``sqrt 1/2`` of what is wanted [rad/s].
         damping: Of the placed pair, ``LEAST_DAMPING`` to ``MOST_DAMPING``.
-        what: Loop, for people.
 
     Raises:
         ConfigError: If a number is none, or the lag does not let some environment have so much; it says how much all can have.
@@ -157,7 +154,6 @@ def tune_attitude(
     Args:
         vehicle: As identified or drawn; its rotor lags count, the slower of rise and fall.
         bandwidth: [rad/s], of all axes or of roll, pitch and yaw. What the rotors can give about yaw is not looked at.
-        damping: Damping ratio.
         delay: Dead time between a command and the rotors [s], that of the effect ``actuation_delay``; (E,) where it differs.
         dt: Time step of the control law [s], for which its command is held.
 
@@ -176,9 +172,7 @@ def tune_position(attitude: Tuning, *, bandwidth: Bandwidth, damping: float) -> 
     """Return the gains of the position loop along x, y, z around tuned pitch, tuned roll, and rotors.
 
     Args:
-        attitude: Of the same vehicles.
         bandwidth: [rad/s], of all axes or of each.
-        damping: Damping ratio.
 
     Raises:
         ConfigError: As in ``tuned``.

@@ -44,8 +44,6 @@ def check_starts(
     ``ControllerCfg.if_unstable = "warn"`` makes it a warning.
 
     Args:
-        robot: Vehicle and its start.
-        controller: Law and gains.
         gravity: Downward acceleration of free fall [m/s²].
         dt: Time step [s].
         names: Of robot and controller, for the message.

@@ -95,13 +95,9 @@ class SimBuilder:
         """Return a simulation, built and not yet reset. In place of a name stands a configuration if it is registered nowhere.
 
         Args:
-            sim_name: Registered sim.
             env_name: Registered environment, or path of an environment file; see ``EnvironmentCfg`` for its fields.
             robot_name: Registered robot, or path of a robot file (``close-loop`` writes such files).
-            controller_name: Registered controller.
-            num_envs: Environments side by side.
             device: Torch device; ``auto`` takes the GPU if there is one.
-            seed: Seed of every random number.
             first_env: Number of the first environment. What is drawn for an environment depends on the seed, its number and its
                 episode alone: ``num_envs=1, first_env=17`` flies environment 17 of any larger batch with that seed.
             first_episode: Number of the first episode, likewise.

@@ -58,12 +58,8 @@ class Touch:
         """Declare the distance between links where that is asked for, and take views.
 
         Args:
-            robot: With its collision shapes.
             gtd: Has ``robot_clearance`` and ``crashes``.
-            assets: With the scene.
             pose: ``position`` [m], world, (E, 3), and ``attitude``, (E, 4), of the body.
-            links: Of a robot that bends.
-            places: Writes these.
             trajectory: Record of each step; None where nothing is followed.
             dt: Length of a substep [s].
         """

@@ -14,10 +14,6 @@ def onnx_bytes(
     """Return a module as ONNX; raise ``CapabilityError`` if a package is missing.
 
     Args:
-        module: What is called.
-        given: Inputs of the right shapes.
-        inputs: Their names.
-        outputs: Names of what it returns.
         dynamic: Which dimensions of the inputs may be others, as ``torch.export`` says it.
     """
     try:

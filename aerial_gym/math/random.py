@@ -139,9 +139,7 @@ class Randomness:
         """Take the seed and the numbers of the environments.
 
         Args:
-            num_envs: Number of environments E.
             device: Where the tensors are.
-            seed: Of all draws.
             first_env: Number of the first environment; the others follow. Environment 17 of a large batch is number 17 alone.
             first_episode: Number of the episode that the first ``begin`` begins.
         """

@@ -57,7 +57,6 @@ def on_whole_vectors(function: Callable[..., Result], num_rows: int, device: tor
 
     Args:
         function: Of tensors, most of them (E, ...), to tensors (E, ...); row i of what it returns follows from rows i alone.
-        num_rows: E.
         device: Where the tensors are.
     """
     missing = -num_rows % WHOLE_ROWS

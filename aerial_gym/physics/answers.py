@@ -54,8 +54,6 @@ class Answers(Generic[Source]):
         """Return ``law(source, params)``, an answer that stands or a new one; not to be written to.
 
         Args:
-            law: A method of an effect.
-            source: What it may read.
             params: With what it remembers behind them, (E, P). None: ``law(source)``, which has none.
             place: Tells apart sources for each of which answers are kept.
         """

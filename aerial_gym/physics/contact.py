@@ -82,8 +82,6 @@ def push(
 
     Args:
         contacts: Gaps, levers and normals in ``state``.
-        cfg: Stiffness, damping, friction.
-        model: Mass and inertia.
         state: Motion after a step of ``dt`` [s] without contact.
         dt: Length of the step [s].
         share: From ``position_share``.

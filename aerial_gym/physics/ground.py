@@ -92,8 +92,6 @@ def push_off_ground(
     """Return the motion with contact, the impulse of the ground [N s], world, (E, 3), and which crash, bool (E,).
 
     Args:
-        ground: Height and spheres.
-        cfg: How it pushes back.
         model: Mass, inertia and centre of mass.
         before: Motion at the start of the step, whose velocities say how fast the vehicle comes.
         after: Motion at its end, without contact.

@@ -98,9 +98,6 @@ def held_wrench(
     Rotors are those of the end of the step, the motion that of its start.
 
     Args:
-        model: Vehicle and effects.
-        state: At the start.
-        rotor_command: What the rotors follow.
         dt: Length of the step [s].
 
     Returns:

@@ -74,7 +74,6 @@ def begin_substep(
     """Return the model with what is remembered in it, what the rotors follow, and the memory of a substep.
 
     Args:
-        model: Vehicle and effects.
         memory: At the end of the substep before.
         rotor_speed: Rotor speeds [rad/s], (E, R).
         command: Speeds that the control law commands in this substep [rad/s], (E, R), or how they are known to change: no

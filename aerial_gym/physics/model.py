@@ -111,7 +111,6 @@ def build_model(
     """Return the model of a declared vehicle with effects added; differentiable in vehicle and parameters.
 
     Args:
-        vehicle: As declared.
         effects: With their parameters (E, P).
         gravity: Downward acceleration of free fall [m/s²].
         ground_height: Height of the ground [m], world; (E, 1) where it differs.

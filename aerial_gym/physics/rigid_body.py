@@ -64,7 +64,6 @@ def body_wrench(
     """Return all force but gravity [N] and torque about the centre of mass [N m], body, each (E, 3).
 
     Args:
-        model: Vehicle and effects.
         position: Centre of mass [m], world, (E, 3).
         attitude: Body to world, xyzw, (E, 4).
         com_vel: Velocity of the centre of mass [m/s], world, (E, 3).
@@ -183,8 +182,6 @@ def acting_in(
     """Return what acts on the body in a condition, without a fluid or a load, which depend on the sum of it.
 
     Args:
-        model: Vehicle and effects.
-        condition: What effects see.
         answers: Those of effects in this state under other models.
         apart: Asks for ``Acting.linear``.
         hubs: What effects at hubs see in its place (``condition_at_origin``): their torques are about the body origin then.

@@ -58,13 +58,11 @@ def advance(
     Effects and laws with memory begin as after a reset; a backend keeps what they remember between calls.
 
     Args:
-        model: Vehicle and effects.
         stepper: One of ``INTEGRATORS``.
         control: Turns the action into rotor commands.
         state: Motion of the body origin and rotor speeds.
         command: Action, held, (E, number of actions).
         dt: Length of one substep [s].
-        substeps: How many.
     """
     memory, law_memory = make_memory(model, dt) if model.effects.remembering else None, None
     needs = needs_of(control)

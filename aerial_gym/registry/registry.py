@@ -40,7 +40,6 @@ class Registry(Generic[T]):
 
         Args:
             name: As for ``register``.
-            make: Returns the entry.
             summary: Returns one line about the entry without making it; where it is missing, the entry is made and asked.
         """
         self.register(name, _Later(make, summary))  # type: ignore[arg-type]

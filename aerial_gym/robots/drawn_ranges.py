@@ -41,11 +41,8 @@ def report_drawn_ranges(
     """Warn of drawn ranges at whose ends a vehicle is unstable or leaves ``HOVER_RANGE``; say how far, and what helps.
 
     Args:
-        robot: As declared.
-        controller: Law and gains.
         gravity: Downward acceleration of free fall [m/s²].
         dt: Time step [s].
-        integrator: Name of the stepper.
         names: Of robot and controller, for people.
         randomize: What is drawn, by name; gains are judged by ``check_closed_loop``.
 

@@ -23,7 +23,6 @@ def guard_parameters(
 
     Args:
         gtd: Has the keys of a robot.
-        effects: With their parameters.
         drawn: Numbers of the effects of which a parameter is drawn.
         notice: Called after each write that the next step must take.
     """

@@ -22,7 +22,6 @@ class HungLoad:
         Args:
             gtd: Receives them.
             length: From the body origin to the load [m], (E, 1); read at every refresh.
-            state: Of the robot.
         """
         self._length, self._state = length, state
         self._position, self._lin_vel = (

@@ -162,14 +162,10 @@ class InitialState:
         """Take what is written and what the draws depend on.
 
         Args:
-            cfg: Ranges.
             state: Written where a mask says so.
-            derived: What follows from it, likewise.
             bounds: Lower and upper corner [m], world, each (E, 3); read at every reset.
             rest_speed: Rotor speeds of a new state [rad/s], (R,).
             actions: Set to zero, (E, U).
-            prev_actions: Likewise.
-            random: Of the draws.
             noticed: What becomes of rows that were not finite, and what is cleared.
         """
         self._mask = random.mask

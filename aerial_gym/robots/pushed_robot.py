@@ -68,8 +68,6 @@ class Pushing:
         """Return what follows each substep: obstacles that push, or else what the surroundings ask for.
 
         Args:
-            state: Motion of the robot.
-            sim: Time step and method.
             mass: [kg], (E,).
             inertia: About the centre of mass [kg m²], body, (E, 3, 3).
             com: Centre of mass from the body origin [m], body, (E, 3).

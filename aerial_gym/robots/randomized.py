@@ -82,10 +82,8 @@ class Randomized:
         """Give every number a column.
 
         Args:
-            cfg: What is drawn.
             robot: With the effects of ``with_drawn_effects``.
             declared: Its vehicle, shared by all environments.
-            effects: With their declared parameters.
             gains: Declared gains by name, (E, 3); none where the controller has none.
 
         Raises:
@@ -138,8 +136,6 @@ class Randomized:
         """Return what follows from draws (E, K) and the present parameters (E, P) of all effects.
 
         Args:
-            values: Draws.
-            params: Parameters.
             vehicle: As declared, with tensors on the device; if not given, it is made of plain numbers.
         """
         count = values.shape[0]

@@ -69,11 +69,8 @@ class RobotManager:
         """Build vehicle and controller, declare the tensors and hand everything to the backend.
 
         Args:
-            robot: What flies.
             controller: What turns actions into rotor commands.
-            sim: Time step, gravity, method.
             gtd: Receives the robot's keys; its size R is the number of rotors.
-            around: What is around it.
             root_state: This robot's row of ``vec_root_tensor``, (E, 13).
             random: Of everything that is drawn for the robot.
             gradients: Float type of the motion through which gradients flow; None where they do not.

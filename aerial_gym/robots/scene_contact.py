@@ -207,9 +207,6 @@ class SceneContact:
         """Take views of the tensors, which must stay where they are.
 
         Args:
-            scene: What can be touched.
-            cfg: How it pushes back.
-            robot: What is pushed.
             state: Its motion, written in place where it touches something.
             integrator: Stepper of the physics, by name.
             dt: Length of a substep [s].

@@ -47,11 +47,8 @@ def tune_robot(
     """Return the control that meets a bandwidth and a damping ratio.
 
     Args:
-        robot: As identified.
-        name: Of the robot, for people.
         attitude: Bandwidth of roll, pitch and yaw [rad/s].
         position: Bandwidth along x, y, z [rad/s].
-        damping: Of both loops.
         dt: Time step of the control law [s].
 
     Raises:

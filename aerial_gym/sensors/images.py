@@ -94,10 +94,8 @@ def declare_images(
 
     Args:
         gtd: Receives the keys of ``IMAGES`` that the sensor has.
-        cfg: The sensor.
         shape: (E, S, H, W), as the dictionary names or counts them.
         prefix: Stands in front of each key.
-        owner: Who writes them.
     """
     return SensorImages(**{
         name: gtd.declare(TensorSpec(

@@ -263,7 +263,6 @@ class Imu:
         """Take views of the tensors, which must stay where they are, and load the kernels; then ``reset`` all rows.
 
         Args:
-            cfg: The IMU.
             attitude: Body to world, xyzw, unit, (E, 4), strided or not; read at every sample, as are the next two.
             lin_vel: Velocity of the body origin [m/s], world, (E, 3).
             ang_vel: Angular velocity [rad/s], body, (E, 3).

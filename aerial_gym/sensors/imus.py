@@ -47,7 +47,6 @@ class ImuSet:
             ang_vel: Angular velocity [rad/s], body, (E, 3).
             dt: Time between two calls of ``measure`` [s]: the environment step.
             gravity: Downward acceleration of free fall [m/s²].
-            random: Of the draws.
             errors: What effects of the robot on its inertial sensors come to, (E, 24); None where it has none.
             carriers: Links that carry IMUs, by the names of these; the others sit on the body.
 

@@ -130,7 +130,6 @@ def _with_drawn_place(cfg: Cfg, drawn: Mapping[str, RandomizeCfg]) -> Cfg:
     """Return a sensor whose place is drawn.
 
     Args:
-        cfg: The sensor.
         drawn: Uniform offsets of ``position`` [m] and ``euler`` [rad], in the frame of the sensor's own file.
     """
     ends = {}
@@ -158,7 +157,6 @@ def mounted_sensors(
     """Return the range sensors and the IMUs of a robot by the names of their mounts, in order.
 
     Args:
-        mounts: Of the robot.
         places: What is drawn of their places, by ``sensors.NAME.position`` [m] and ``sensors.NAME.euler`` [rad].
 
     Raises:

@@ -78,8 +78,6 @@ class Places:
         """Put every sensor at its nominal place.
 
         Args:
-            cfg: The sensor.
-            random: Of the draws.
             number: Of the kind on its robot: two kinds are drawn apart.
             pose: Of its mount in the body frame, instead of its nominal placement. What is drawn deviates from the mount as
                 it deviates from the nominal placement there: ``T_mount T_nominal^-1 T_drawn``.

@@ -66,9 +66,6 @@ class RayCaster:
         """Take views of the tensors, which must stay where they are, and load the kernel.
 
         Args:
-            cfg: The sensor.
-            scene: What it sees.
-            images: What it writes.
             position: Body origin [m], world, (E, 3); may be strided, but for the last axis.
             attitude: Body to world, xyzw, unit, (E, 4); likewise.
             lin_vel: Velocity of the body's origin [m/s], world, (E, 3); likewise. Needed for optical flow

@@ -54,13 +54,11 @@ class SensorManager:
             cfgs: Sensors by name, in order.
             gtd: Receives the keys of ``IMAGES`` that a sensor has, (E, S, H, W) or (E, S, H, W, 2 or 3); for further sensors
                 with ``<name>_`` in front.
-            scene: What they see.
             position: Body origin [m], world, (E, 3), strided or not; read at every capture.
             attitude: Body to world, xyzw, unit, (E, 4), likewise.
             lin_vel: Velocity of the body's origin [m/s], world, (E, 3), likewise; needed by sensors with optical flow
                 or a scan time.
             ang_vel: Angular velocity of the body [rad/s], body frame, (E, 3), likewise.
-            num_envs: Number of environments E.
             device: Where the tensors are.
             dt: Time between two captures [s]; needed by sensors with a rate or a latency.
             random: Of places and noise; that of seed 0 if not given.

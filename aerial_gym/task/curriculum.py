@@ -23,7 +23,6 @@ def next_level(level: Tensor, finished: Tensor, succeeded: Tensor, cfg: Curricul
         level: Obstacle rows in use, integer, (1,).
         finished: Episodes that ended since the last decision, integer, (1,).
         succeeded: How many of them succeeded, (1,).
-        cfg: Limits, thresholds and steps.
 
     Returns:
         The three after it: where ``check_after`` episodes have ended, the level may be another and the counts are 0.

@@ -38,7 +38,6 @@ def load_level(path: str | Path, base: TaskCfg, robot: RobotCfg) -> TaskCfg:
     """Return the task of a level.
 
     Args:
-        path: TOML file.
         base: Task of which everything is taken that the file does not say.
         robot: Its robot, whose inertia the file's offsets are added to.
 

@@ -133,7 +133,6 @@ def check_gradients(
     Args:
         rewards: Terms of the reward: what is true or false moves it in jumps.
         observations: Terms of all groups; what is true or false is seen as it is.
-        values: What they read.
         images: Names of raw images among the observations.
 
     Raises:

@@ -87,7 +87,6 @@ class Task:
 
         Args:
             cfg: Terms, commands, length of an episode.
-            env: The simulation.
             capture: Whether to hold the step in a CUDA graph; if not given, on CUDA devices.
 
         Raises:

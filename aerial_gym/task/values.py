@@ -30,8 +30,6 @@ class Values(Mapping[str, Tensor]):
         """Take the simulation's dictionary.
 
         Args:
-            gtd: Of the simulation.
-            sizes: Numbers of the shape letters.
             makers: What declares buffers that are neither of the registry nor declared already, by their name, in which
                 whole numbers may stand as ``{rows}``: called with these values, who reads it, and the numbers by name.
             graph: Where values with gradients are, of a differentiable simulation.

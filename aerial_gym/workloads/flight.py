@@ -184,9 +184,7 @@ def hover_action(
 
     Args:
         law: ``ControllerCfg.law``.
-        num_actions: Width U.
         hover: Thrust [N] and speed [rad/s] of each rotor in hover, (1, R).
-        num_envs: Environments E.
         generator: Source of the small differences, the same for all rotors of a vehicle.
     """
     thrust, speed = hover

@@ -49,7 +49,6 @@ def time_launches(workload: Workload, *, repeats: int, repeat_time_s: float) -> 
 
     Args:
         workload: Checked before the first and after every repeat.
-        repeats: How many figures are wanted.
         repeat_time_s: About how long each is measured [s].
 
     Raises:

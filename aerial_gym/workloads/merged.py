@@ -51,7 +51,6 @@ class MergedMeshes:
         """Triangulate and merge.
 
         Args:
-            scene: What is seen.
             direction: The ray table, (H, W, 3).
             shared: One mesh for all environments, pixels in tiles; else a mesh for each, pixels in rows.
         """

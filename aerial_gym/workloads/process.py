@@ -27,11 +27,8 @@ def run(
     """Return the last line that a process writes to stdout.
 
     Args:
-        python: Interpreter.
-        arguments: What it runs.
         threads: Cores to which it is pinned, and threads of its libraries; None leaves both alone.
         folder: Where it runs; the temporary folder if not given, as some peers leave logs where they run.
-        variables: Added to its environment.
 
     Raises:
         RunFailedError: If it fails, takes too long or cannot be started.

@@ -100,8 +100,6 @@ class Table:
         """Return a configuration class that stands for one of our configurations.
 
         Args:
-            name: Of the class.
-            cfg: Our configuration.
             parent: A class of the same table from which it is derived; it then has only what differs.
         """
         base = parent or type(name, (), {})

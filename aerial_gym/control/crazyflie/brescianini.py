@@ -74,9 +74,6 @@ def lean(
     ones.
 
     Args:
-        state: Measured motion.
-        target: What is to be followed.
-        gains: Gains and limits.
         gravity: Downward acceleration of free fall [m/s²].
         max_inclination: Largest tilt of a [rad], whose part upwards is then a tenth of gravity at least; None: no limit, for
             targets whose acceleration points upwards.

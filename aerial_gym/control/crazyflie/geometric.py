@@ -56,10 +56,8 @@ def geometric_control(
     ``-K_R e_R - K_w e_w - K_I int e_R + w x J w``.
 
     Args:
-        state: Measured motion.
         target: What is to be followed; its rates are not.
         kept: What was kept by the run before, (E, 6); zeros after a reset.
-        gains: Gains.
         dt: Between runs [s].
     """
     far, turned = kept.split(3, dim=-1)

@@ -96,10 +96,7 @@ def mellinger_control(
     difference of ``e_w``. Without thrust along the body there is no moment, and the integrals begin anew.
 
     Args:
-        state: Measured motion.
-        target: What is to be followed.
         kept: What was kept by the run before, (E, 8); zeros after a reset.
-        gains: Gains.
         gravity: Downward acceleration of free fall [m/s²].
         dt: Between runs [s].
         max_inclination: Largest tilt of F [rad], whose part upwards is then a tenth of the weight at least; None: as the

@@ -91,10 +91,8 @@ def lean(state: BodyState, position: Tensor, kept: Tensor, gains: PidGains, *, d
     """Return thrust [counts], roll, pitch [deg] that position and velocity control ask for, (E, 3), and what is kept, (E, 6).
 
     Args:
-        state: Measured motion.
         position: Wanted, world [m], (E, 3).
         kept: What was kept by the run before, (E, 6); zeros after a reset.
-        gains: Gains and limits.
         dt: Between runs [s].
     """
     far, drift = kept.split(3, dim=-1)
@@ -114,10 +112,8 @@ def turn(state: BodyState, wanted: Tensor, kept: Tensor, gains: PidGains, *, dt:
     """Return the moment [counts], body, (E, 3), that attitude and rate control ask for, and what is kept, (E, 12).
 
     Args:
-        state: Measured motion.
         wanted: Roll, pitch and yaw [deg], (E, 3).
         kept: What was kept by the run before, (E, 12); ``fresh`` after a reset.
-        gains: Gains and limits.
         dt: Between runs [s].
     """
     leant, spun, angles_before, rates_before = kept.split(3, dim=-1)

@@ -59,7 +59,6 @@ def filtered(sample: Tensor, kept: Tensor, begins: Tensor, filter: Biquad) -> tu
         sample: (E, 3).
         kept: The last two inner values, (E, 6).
         begins: Whether there has been no sample yet, bool (E, 1).
-        filter: Coefficients.
     """
     resting = sample / (1.0 + filter.a1 + filter.a2)
     first, second = (torch.where(begins, resting, part) for part in kept.split(3, dim=-1))

@@ -14,9 +14,7 @@ def make_mixer(num_rotors: int, general: bool, airmode: int) -> wp.Function:
     """Return ``mixer.mix``: from units of torque [N m] and thrust [N], normalised torque and thrust to thrusts [N] and signs.
 
     Args:
-        num_rotors: R.
         general: Whether rotors are of any kind.
-        airmode: MC_AIRMODE.
     """
     types = rotor_types(num_rotors, general)
     command_type, vector = types.command, types.vector

@@ -76,7 +76,6 @@ def velocity_control(
         error: Velocity error [m/s], world, (E, 3).
         integral: Before the run [m/s²], world, (E, 3).
         acceleration: Measured [m/s²], world, (E, 3).
-        gains: Gains and limits.
         dt: Between runs [s].
 
     Returns:
@@ -111,7 +110,6 @@ def thrust_of(acceleration: Tensor, gains: PositionGains) -> Tensor:
 
     Args:
         acceleration: Wanted [m/s²], world, (E, 3).
-        gains: Gains and limits.
 
     Source:
         PX4, ``PositionControl::_accelerationControl`` and ``ControlMath::limitTilt``.

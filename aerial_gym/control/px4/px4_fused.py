@@ -307,12 +307,8 @@ def maker(
 
     Args:
         law_name: Of ``controllers.OF_PX4``.
-        filters: At their rates.
-        timing: When levels run.
         layout: Where numbers stand.
         first: Number at which those of the law begin.
-        factor: THR_MDL_FAC.
-        airmode: MC_AIRMODE.
     """
 
     def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:

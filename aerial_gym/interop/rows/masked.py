@@ -32,7 +32,6 @@ class MaskedRows:
         """Take fixed tensors.
 
         Args:
-            function: Pure torch on rows.
             sources: What it takes, (E, ...).
             targets: Where what it returns is written, (E, ...).
             mask: Rows to write, bool, (E,); read at every call.

@@ -41,7 +41,6 @@ def write(trace: Trace, *, masked: bool = False, made: Sequence[str] = (), besid
     """Return the kernel that does what was traced.
 
     Args:
-        trace: What is done.
         masked: Whether it takes a mask first and does nothing in other rows.
         made: Lines that make ``made_0``, ``made_1``, ... in place of the first input, of ``given``: ``given_type``.
         beside: Whether it is launched with twice as many threads as rows, the later ones of which call ``beside(row, other)``,

@@ -59,9 +59,6 @@ def equations(
     """Return the equations of motion.
 
     Args:
-        tree: How links hang together.
-        links: What they weigh.
-        state: Their motion.
         gravity: Downward acceleration of free fall [m/s²].
         wrench: Force [N] on each link at its origin and torque [N m], axes of the link, (E, L, 6); none if not given.
         effort: Of each joint [N m] or [N], (E, D); none if not given.

@@ -45,9 +45,7 @@ def jointed_step(
     """Return the state after one step of ``steppers.implicit_euler``; the rotors follow their exact solution.
 
     Args:
-        model: With its articulation.
         state: Motion of the base, joints and rotors.
-        rotor_command: What the rotors follow.
         joint_command: Of the drives, (E, C).
         dt: Length of the step [s].
         crept: Where dashpots of joints that creep stand, (E, N, D); None where none does.
@@ -90,9 +88,6 @@ def link_wrenches(
     """Return force [N] on each link at its origin and torque [N m], axes of the link, (E, L, 6).
 
     Args:
-        model: Vehicle and effects.
-        articulation: Its own.
-        state: Motion of base and joints.
         rotor_speed: States of the rotors, (E, R).
         rotor_acc: Their angular accelerations [rad/s²], (E, R).
     """
@@ -141,12 +136,8 @@ def _at_hubs(
     A link with its rotors is to them a vehicle of its own, whose centre of mass counts as at the origin of the link.
 
     Args:
-        model: With effects at hubs alone.
         articulation: As others, for ``link_wrenches``.
-        state: Likewise.
         wind: Velocity of the air [m/s], world, (E, 3).
-        rotor_speed: Likewise.
-        rotor_acc: Likewise.
     """
     tree, turn = articulation.tree, state.attitude
     places = place_links(tree, articulation.links(model.vehicle), state.joint_pos)
@@ -196,14 +187,7 @@ def _wind(model: Model, state: TreeState) -> Tensor:
 
 
 def link_damping(model: Model, articulation: Articulation, links: Links, state: TreeState) -> LinkDamping | None:
-    """Return what damps the links at the start of a step; None where nothing does.
-
-    Args:
-        model: Vehicle and effects.
-        articulation: Its own.
-        links: What they weigh.
-        state: Their motion.
-    """
+    """Return what damps the links at the start of a step; None where nothing does."""
     if not model.effects[LinkEffect]:
         return None
     ((effect, params),) = model.effects[LinkEffect]

@@ -24,11 +24,9 @@ def check_motions(tree: Tree, links: Links, reference: Tensor, held: Tensor, nam
     a motion has no inertia where that has an eigenvalue of at most N times the square of ``PLACES``.
 
     Args:
-        tree: How links hang together.
         links: What they weigh, float64, (1, L, ...).
         reference: Coordinates of the reference pose [rad] or [m], (D,).
         held: Whether a spring or damper is in the joint, whatever its position: it stands in for inertia within a step, (D,).
-        names: Of the joints.
     """
     state = TreeState.at_rest(1, tree.num_joints, like=reference)
     state.joint_pos.copy_(reference)

@@ -44,8 +44,6 @@ def motion_in_air(
     """Return ``LinkDamping.velocity`` and ``turned_wind``.
 
     Args:
-        tree: How links hang together.
-        links: What they weigh.
         joint_pos: Of the joints, (E, D).
         joint_vel: Their rates, (E, D).
         lin_vel: Of the base's origin [m/s], axes of the base, (E, 3).

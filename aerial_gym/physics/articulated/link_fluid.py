@@ -34,10 +34,7 @@ def entrained(tree: Tree, found: Equations, attitude: Tensor, fluid: LinkFluid) 
     """Return equations of motion with the fluid; its terms of velocity are those of the motion that the equations have.
 
     Args:
-        tree: How links hang together.
-        found: Without the fluid.
         attitude: Base to world, xyzw, (E, 4).
-        fluid: What it adds.
     """
     places, motion, turn = found.places, found.motion, found.motion.ang_vel
     along, about = fluid.added.split(3, dim=-1)

@@ -50,10 +50,6 @@ def implicit_euler(
     ``(M + C dt + K dt²) a = f - h - K q' dt``.
 
     Args:
-        tree: How links hang together.
-        links: What they weigh.
-        laws: What acts in the joints.
-        state: Motion at the start.
         dt: Length of the step [s].
         gravity: Downward acceleration of free fall [m/s²].
         drive: Of the joints that have one; the gains of others are zero.
@@ -95,11 +91,7 @@ def with_drive(
 
     Args:
         step: A step from ``state`` under efforts of joints, taken at its end, and what turning and swinging take in a motion.
-        laws: What acts in the joints.
         drive: Of the joints that have one; None for no drive.
-        friction: Likewise.
-        state: Motion at the start.
-        rounds: Of the solution, at most.
     """
     acts = joint_effort(laws, state.joint_pos, state.joint_vel)
     bounded = [(law, law is friction) for law in (drive, friction) if law is not None]

@@ -23,7 +23,6 @@ def make_prioritised_thrust(
     Where no rotor is at a limit, which is nearly always, it is the product with the pseudo-inverse and 2 R comparisons.
 
     Args:
-        num_rotors: R.
         general: Whether rotors are of any kind.
         idle: Whether any rotor has no part in the force along body z.
         lateral: Whether wrenches have a force beside body z.

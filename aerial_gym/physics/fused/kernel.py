@@ -54,13 +54,10 @@ def make_kernel(
 
     Args:
         model: Gives the number of rotors and the effects.
-        law: Control law.
-        integrator: Name of the stepper.
         packing: Where what differs between environments stands.
         num_spheres: How many spheres are tested against the ground; 0 where there is none.
         compliant: Whether the ground pushes back.
         com_offset: Whether the centre of mass is beside the body origin anywhere.
-        hook: What follows every substep.
         differentiable: Whether Warp also makes the adjoint.
     """
     num_rotors, (num_params, num_memory) = model.vehicle.num_rotors, num_values(model)

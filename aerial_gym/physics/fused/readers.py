@@ -89,7 +89,6 @@ def make_completion(struct: Any, packed: Mapping[str, int], few: Mapping[str, wp
     """Return ``wp.func`` (shared struct, packed tensor, environment) -> the struct with its packed fields in place.
 
     Args:
-        struct: Type of the struct.
         packed: First row of each packed field.
         few: Readers of fields of which only some entries are packed.
     """

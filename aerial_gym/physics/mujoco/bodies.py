@@ -62,7 +62,6 @@ def compile_body(mujoco: Any, floor: Floor | None, cfg: ContactCfg | None, dt: f
     """Return the ``MjModel`` of a free body of 1 kg and 1 kg m², into which the numbers of ``body_rows`` can be written.
 
     Args:
-        mujoco: The package.
         floor: What can be touched, its spheres in the body frame of the robot file; None for nothing.
         cfg: How it gives way; with a floor.
         dt: Length of a step [s].

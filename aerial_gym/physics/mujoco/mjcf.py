@@ -64,14 +64,12 @@ def write_mjcf(
     Without a floor nothing can touch anything, and MuJoCo leaves out collisions and constraints.
 
     Args:
-        tree: How links hang together.
         links: What they weigh. MuJoCo takes no moving link without mass, and no inertia whose largest principal moment is more
             than the sum of the others.
         env: Whose row of ``links`` is written, and whose obstacles.
         gravity: Downward acceleration of free fall [m/s²].
         dt: Time step [s].
         integrator: Of MuJoCo's: ``Euler`` (semi-implicit), ``RK4``, ``implicit``, ``implicitfast``.
-        floor: What can be touched.
         actuated: Whether controls push: force and torque of each link at its origin, in its axes, (L, 6), then the efforts of
             joints, (D,). With a floor there are sensors as well: what all links together push on the ground and on each part.
     """

@@ -58,8 +58,6 @@ class Trees(ABC):
 
         Args:
             first: An ``MjModel`` of the tree, of ``template`` or like it.
-            tree: How links hang together.
-            num_envs: Environments E.
             dt: Length of a step [s].
             solids: The obstacles; None without any.
             touches: Whether anything can be touched.
@@ -86,7 +84,6 @@ class Trees(ABC):
         """Write what links weigh in some environments, K of them.
 
         Args:
-            changed: Which.
             mass: Of each link [kg], (K, L).
             com: Centres of mass, axes of each link [m], (K, L, 3).
             inertia: About these [kg m²], (K, L, 3, 3).

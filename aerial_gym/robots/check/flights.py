@@ -88,9 +88,6 @@ def largest_stable_step(robot: RobotCfg, controller: ControllerCfg, *, name: str
     declared vehicle: a hung load pulls it down. Effects of wind are left out: in gusts nothing comes to rest.
 
     Args:
-        robot: As declared, with its effects.
-        controller: A law with gains.
-        name: Of the controller, for people.
         gravity: Downward acceleration of free fall [m/s²].
     """
     if controller.law not in LAWS:

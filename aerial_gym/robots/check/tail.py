@@ -32,7 +32,6 @@ class LeaningTail:
     """Forces and torques of such a vehicle, about the angle at which its tail holds hover.
 
     Args:
-        robot: A loaded robot.
         matrix: Force and torque per thrust of each rotor as all point along their axes in the reference pose, (6, R).
         low: Lowest thrusts [N], (R,).
         high: Highest thrusts [N], (R,).

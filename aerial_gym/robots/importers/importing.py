@@ -80,7 +80,6 @@ def import_robot(path: str | Path, hints: RotorHints | None = None, *, gravity: 
 
     Args:
         path: The file; its first tag says what it is.
-        hints: What it does not say.
         gravity: Downward acceleration of free fall [m/s²] against which it must hover.
 
     Raises:

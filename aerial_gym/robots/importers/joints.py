@@ -126,7 +126,6 @@ def carriers_of(
     """Return the name of the joint that moves each link, or the base.
 
     Args:
-        links: Names of all links.
         joint_above: Gives joint and parent link of a link; None of the root.
         moving: Names in the robot file of the joints that move, by their names in the other.
     """

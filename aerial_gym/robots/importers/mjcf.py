@@ -229,7 +229,6 @@ class _Reader:
         """Yield what is not used beside actuators, a line for each kind.
 
         Args:
-            sites: Those of rotors.
             welded: Joints that are welded and not named elsewhere.
         """
         m, root = self._model, self._root

@@ -89,7 +89,6 @@ def motors_in(plugins: Iterable[tuple[str, ElementTree.Element]], where: str) ->
 
     Args:
         plugins: Each with the scope of its names, which is put before them.
-        where: Names the file in messages.
 
     Raises:
         ConfigError: If two have the same number, or one is not a plain speed-controlled motor that turns one way.

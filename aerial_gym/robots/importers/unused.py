@@ -17,7 +17,6 @@ def unused_in(
         root: Element whose children are looked through.
         used: Tags that are used within it.
         left_out: Elements that are not used although their tags are.
-        named: Elements that are named elsewhere.
     """
     yield from by_kind(_pairs(root, used, root.get("name", ""), left_out, named))
 

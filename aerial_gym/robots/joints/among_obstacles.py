@@ -77,10 +77,7 @@ class LinksAmongObstacles:
         """Take views of the tensors, which must stay where they are.
 
         Args:
-            scene: What can be touched.
             cfg: Says which touch is a crash.
-            robot: With joints and collision shapes.
-            state: Its motion.
             links: Receives where its links are after each substep.
             dt: Length of a substep [s].
             crashes_out: Set, bool, (E,), where it touches at the speed of a crash; never cleared here.

@@ -19,8 +19,6 @@ def check_drawn_bodies(randomized: Randomized, articulation: "Articulation", par
     """Raise ``ConfigError`` where a corner of the ranges of ``body.`` leaves a base that flies without mass or inertia.
 
     Args:
-        randomized: What is drawn.
-        articulation: What the links weigh.
         params: Declared parameters of all effects, (E, P) each.
     """
     drawn = [each for each in randomized.drawn if each.name.startswith("body.")]

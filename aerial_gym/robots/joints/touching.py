@@ -25,8 +25,6 @@ def shapes_on_links(
     With ``between_links`` or obstacles these are also the shapes that push each other, or that obstacles push.
 
     Args:
-        robot: With joints.
-        device: Of the spheres.
         scene: With the obstacles; None without any.
         moves: Whether any of them moves.
     """

@@ -22,8 +22,6 @@ class OnAsset(Command):
         """Take the asset.
 
         Args:
-            values: Of the task.
-            env: The simulation.
             name: Of an asset of the environment that is always there; of several instances the first one.
             offset: From the asset's origin to the target [m], world: it does not turn with the asset.
         """

@@ -78,8 +78,6 @@ class Gates(Command):
         """Take the gates.
 
         Args:
-            values: Of the task.
-            env: The simulation.
             centers: In order [m].
             yaws: Heading in which each is flown through [rad]; 0 is along x.
             width: Of the opening [m], > 0.

@@ -80,8 +80,6 @@ class PointSequence(Command):
         """Take the points.
 
         Args:
-            values: Of the task.
-            env: The simulation.
             points: In order [m].
             radius: Distance that counts as there [m], > 0.
             loop: Whether the first one follows the last one; otherwise that one stays, and ``sequence_done`` is true in every

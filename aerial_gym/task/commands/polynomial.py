@@ -102,8 +102,6 @@ class Polynomial(Command):
         """Take what is drawn, and the limits.
 
         Args:
-            values: Of the task.
-            env: The simulation.
             size: Half of the box in which the points of each episode are drawn, uniformly [m], >= 0, not all 0.
             max_speed: Limit of the target's speed [m/s], > 0.
             max_acceleration: Limit of its acceleration [m/s²], > 0.

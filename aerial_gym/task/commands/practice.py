@@ -30,9 +30,6 @@ class Practice:
         """Take the gates, and declare what is drawn.
 
         Args:
-            name: Of the command, for messages.
-            values: Of the task.
-            env: The simulation.
             gates: Positions [m], world, (E, G, 3), and attitudes, gate to world, xyzw, (E, G, 4).
             share: Of the episodes of a training, 0 to 1, that begin so; no episode of an evaluation does.
             speed: Largest speed of these, away from the gate [m/s], >= 0.

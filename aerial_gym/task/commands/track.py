@@ -49,7 +49,6 @@ class TrackGates(Command):
         """Take the gates of the environment.
 
         Args:
-            values: Of the task.
             env: The simulation; its environment has a track.
             width: Of the openings [m], > 0.
             height: Of the openings [m], > 0.

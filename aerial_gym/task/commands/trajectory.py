@@ -60,8 +60,6 @@ class Trajectory(Command):
         """Take the curve.
 
         Args:
-            values: Of the task.
-            env: The simulation.
             curve: ``circle``, ``lemniscate`` or ``helix``.
             size: Half of its extent along each axis [m].
             period: Time once round [s], > 0.

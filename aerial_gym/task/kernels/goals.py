@@ -45,7 +45,6 @@ class Goals:
             goal: Written where a mask says so [m], world, (E, 3).
             bounds: Lower and upper corner [m], world, each (E, 3); read at every draw.
             ratios: Lowest and highest goal as a share of the bounds.
-            random: Of the draws.
         """
         envs, device = goal.shape[0], goal.device
         self._mask = random.mask

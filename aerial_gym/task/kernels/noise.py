@@ -49,7 +49,6 @@ class WhiteNoise:
         Args:
             kinds: Standard deviation of the noise and probability of being dropped, of each entry with either, by its number.
             step: Step of the episode, int32, (E,); read at every draw.
-            random: Of the draws.
             purpose: Of the draws that are not of a last observation.
         """
         start_warp()

@@ -86,7 +86,6 @@ class PracticeStarts:
             speed: Largest speed, along the gate's x [m/s].
             offset: Largest distances from the middle of the gate along its axes [m]; along x it lies behind.
             first_out: Receives the gate with which an episode begins, int32, (E,).
-            random: Of the draws.
         """
         start_warp()
         state, motion = robot.state, Motion()

@@ -54,8 +54,6 @@ class UniformDraws:
         Args:
             drawn: Written where a mask says so, (E, N).
             ranges: Lowest and highest of each of the N numbers.
-            purpose: Of the draws.
-            random: Of the draws.
             whole: Whether they are whole numbers, the highest included.
         """
         start_warp()

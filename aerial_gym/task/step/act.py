@@ -52,14 +52,7 @@ class Actor:
         """Take what is between, and declare what it remembers; make it when everyone has said what they read.
 
         Args:
-            cfg: Delay, filter and noise.
-            action: The transform.
-            params: Its numbers.
-            values: Of the task.
-            num_actions: V.
-            num_commands: U.
             dt: Length of a step [s].
-            random: Of delays and noise.
         """
         self.transform, self.params = action.value, params
         low, high = steps_range(cfg.delay_steps)

@@ -82,7 +82,6 @@ class NamedRows:
 
         Args:
             function: Pure; gives at least every name of ``writes``.
-            what: What a warning calls it.
             reads: What it is given, by name; the first is (E, ...).
             writes: Tensors that receive results, by name; they may be read as well.
             terms: What the function calls. One that cannot be part of a kernel runs before it, as torch operations of its own.

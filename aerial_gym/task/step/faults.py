@@ -27,9 +27,7 @@ class Faults:
 
         Args:
             widths: Entries of the widest term that has a fault, by its name.
-            cfgs: Of them all.
             values: Receives the numbers.
-            random: Of the draws.
         """
         self._cfgs = {name: cfgs[name] for name in widths}
         self._first: dict[str, int] = {}

@@ -70,8 +70,6 @@ class Judge:
 
         Args:
             cfg: Length of an episode, what ends are worth.
-            rewards: Terms by name.
-            terminations: Likewise.
             values: What they read; receives what is kept from step to step.
             command: Moves the target before all else.
             observer: Of the observation before a reset.

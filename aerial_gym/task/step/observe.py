@@ -94,7 +94,6 @@ class Observer:
         Args:
             groups: Terms in order, by the name of the group.
             values: What they read; receives their lines.
-            random: Of noise, delays and faults.
             faults: By the names that terms give.
         """
         self._faults = Faults(widths_of(groups), faults or {}, values, random)

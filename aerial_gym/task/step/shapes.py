@@ -14,9 +14,6 @@ def width_of(term: BoundTerm, values: Mapping[str, Tensor], *, rows: int, width:
     """Return the entries that an observation term returns for each environment, found by calling it once.
 
     Args:
-        term: Of an observation.
-        values: Any states.
-        rows: Number of environments E.
         width: What the term says; None if it says nothing.
 
     Raises:

@@ -67,7 +67,6 @@ class StepGraph(Generic[Result]):
         Args:
             step: Takes actions (E, U), writes the tensors of the simulation, returns tensors.
             actions_shape: (E, U).
-            device: The CUDA device.
 
         Raises:
             CapabilityError: If something in the step cannot be recorded.

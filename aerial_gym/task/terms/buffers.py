@@ -44,7 +44,6 @@ class BufferRegistry(Registry[Buffer]):
         Args:
             name: Under which terms read it; that of the function if not given.
             shape: Of a row; () for one number, letters such as ``U`` and ``R`` as in the GTD.
-            unit: SI unit.
             frame: ``world``, ``body``, ``vehicle`` or ``-``.
         """
 

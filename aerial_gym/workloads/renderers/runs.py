@@ -108,11 +108,8 @@ def share_that_differs(
     """Return the share of pixels in which two renderers differ, in depth by more than 1 mm or in what is seen.
 
     Args:
-        name: Of the other renderer.
         depth: Ours [m], below 0 for a miss, any shape.
-        other: The other's, as many pixels.
         identity: What our pixels see; compared if both are given.
-        other_identity: What the other's see.
         most: Largest share; more than edges explain means that the two did not draw the same scene.
 
     Raises:

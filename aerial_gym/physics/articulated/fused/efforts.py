@@ -19,9 +19,7 @@ def held_of(num_joints: int, params_type: Any, rotor_vector: Any) -> Any:
     rotors and their accelerations.
 
     Args:
-        num_joints: D.
         params_type: Of the parameters; None where the air does nothing to a link.
-        rotor_vector: A number of each rotor.
     """
     vector = vector_of(num_joints)
     fields = {"bounded_value": vector, "bounded_slope": vector, "crept": vector}

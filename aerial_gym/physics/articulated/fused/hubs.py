@@ -30,10 +30,6 @@ def make_hubs(model: Model, joints: JointTypes) -> dict[int, wp.Function]:
     origin from that of the base, its angular velocity and the velocity of its origin at the start of the step) -> thrusts with
     the effects on this link, and what else they do to the link at its origin. Vectors are in axes of the base, what comes back
     in those of the link.
-
-    Args:
-        model: With effects at hubs.
-        joints: For its joints.
     """
     return {link: _make_link_hubs(model, joints, link) for link in blown_links(model)}
 

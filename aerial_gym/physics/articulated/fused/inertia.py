@@ -87,7 +87,6 @@ def beside(own: Inertia, push: wp.mat33, turn: wp.mat33, com: wp.vec3, force: wp
     """Return an inertia with what else resists accelerations of a centre of mass, and what acts there.
 
     Args:
-        own: About the link's origin.
         push: Force per acceleration of the centre [kg].
         turn: Torque per angular acceleration [kg m²].
         com: The centre from the link's origin [m].

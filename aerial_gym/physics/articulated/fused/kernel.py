@@ -87,8 +87,6 @@ def make_jointed_kernel(
     """Return the kernel; what it does not need costs nothing.
 
     Args:
-        model: Gives articulation, rotors and effects.
-        law: Control law.
         packing: Where what differs between environments stands.
         num_spheres: How many spheres of the base are tested against the ground; 0 where there is none.
         hook: What follows every substep; it sees the base's origin in place of a centre of mass.

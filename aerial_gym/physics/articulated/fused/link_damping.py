@@ -15,11 +15,6 @@ def make_damping(model: Model, joints: JointTypes, link: int) -> wp.Function | N
     Beside the mass stands ``dt D``. The end of a step has ``-D (u + u' dt)`` with ``u' = R^T (a - weight + w x wind)``, where
     ``a`` is the spatial acceleration of the centre of mass that the recursion finds, weight in it: what is not of ``a`` is a
     force.
-
-    Args:
-        model: With its effects.
-        joints: For its joints.
-        link: Number of the link.
     """
     twins = [effect.warp_damping(link) for effect, _ in model.effects[LinkEffect]]
     if twins in ([], [None]):

@@ -14,11 +14,6 @@ def make_fluid(model: Model, joints: JointTypes, link: int) -> wp.Function | Non
 
     Beside the mass stand ``R A R^T`` and ``R B R^T``. With the spatial acceleration ``a`` of the centre of mass that the
     recursion finds, weight in it, the fluid takes ``A (a - weight + w x wind) + w x (A u)``: what is not of ``a`` is a force.
-
-    Args:
-        model: With its effects.
-        joints: For its joints.
-        link: Number of the link.
     """
     twins = [effect.warp_added(link) for effect, _ in model.effects[LinkFluidEffect]]
     if twins in ([], [None]):

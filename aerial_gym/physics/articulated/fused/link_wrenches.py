@@ -11,13 +11,7 @@ from aerial_gym.physics.model import Model
 
 
 def make_wrenches(model: Model, joints: JointTypes, link: int) -> list[wp.Function]:
-    """Return what each such effect does to a link, as ``on_links.make_on_links`` has it.
-
-    Args:
-        model: With its effects.
-        joints: For its joints.
-        link: Number of the link.
-    """
+    """Return what each such effect does to a link, as ``on_links.make_on_links`` has it."""
     each = zip(model.effects[LinkWrenchEffect], pickers(model)[LinkWrenchEffect], strict=True)
     twins = [(effect.warp_wrench(link), pick.get) for (effect, _), pick in each]
     return [_make_wrench(joints, twin, get) for twin, get in twins if twin is not None]

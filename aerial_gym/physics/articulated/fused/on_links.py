@@ -30,10 +30,6 @@ def make_on_links(model: Model, joints: JointTypes) -> dict[int, wp.Function]:
     mass from its origin, angular velocity and velocity of its origin at the start of the step, the same at the rates at which
     turning and swinging are taken, angular acceleration and acceleration of its origin by these alone, what is held through the
     step, dt) -> ``Inertia``. Vectors are in axes of the base.
-
-    Args:
-        model: With its effects.
-        joints: For its joints.
     """
     return {link: reduce(_then, _acting_on(model, joints, link)) for link in touched_links(model)}
 

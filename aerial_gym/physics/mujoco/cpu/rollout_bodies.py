@@ -25,7 +25,6 @@ class RolloutBodies(Bodies):
 
         Args:
             rows: Of ``body_rows``, (N, 14).
-            num_envs: Environments E.
             dt: Length of a step [s].
             floor: What can be touched, its spheres in the body frame of the robot file; None for nothing.
             cfg: How it gives way; with a floor.

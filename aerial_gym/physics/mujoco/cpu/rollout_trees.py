@@ -30,8 +30,6 @@ class RolloutTrees(Trees):
         """Make the models.
 
         Args:
-            tree: How links hang together.
-            num_envs: Environments E.
             dt: Length of a step [s].
             floor: What can be touched; None for nothing.
             cfg: How it gives way; with a floor.

@@ -21,7 +21,6 @@ class Rollouts:
 
         Args:
             models: An ``MjModel`` each, N of them, that differ in numbers alone, not in how many of each thing there are.
-            num_envs: E.
             control: What is held over a step, entries of ``mjtState`` in the order of that.
         """
         self.mujoco, rollout = (load(name, backend="mujoco") for name in ("mujoco", "mujoco.rollout"))
@@ -86,7 +85,6 @@ class Rollouts:
         """Write what bodies weigh into some models.
 
         Args:
-            changed: Which, K of them.
             places: MuJoCo's numbers of the bodies, L of them.
             mass: Of each [kg], (K, L).
             com: Centres of mass, axes of each body [m], (K, L, 3).
