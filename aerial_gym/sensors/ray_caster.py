@@ -23,7 +23,6 @@ from aerial_gym.interop import RecordedLaunch, launch_side_by_side, on_torch_str
 from aerial_gym.math.draws import random_arrays
 from aerial_gym.math.random import Randomness
 from aerial_gym.sensors.flow import Flow, make_flow, record_motion
-from aerial_gym.sensors.frames import Frames
 from aerial_gym.sensors.images import SensorImages, arrays_of, images_of
 from aerial_gym.sensors.mounts import Pose
 from aerial_gym.sensors.pixels import MISS_ID, Limits, Noise, Outputs, locate
@@ -279,3 +278,22 @@ def _make_view(scene: Scene, mounts: int) -> View:
     view.kind = wp.zeros((mounts, count), dtype=wp.int32, device=device)
     view.shapes, view.part_shape = scene.arrays.shapes, scene.arrays.part_shape
     return view
+
+
+class Frames:
+    """Which frame of its rays each environment sees: the next one at every image, from the first after a reset."""
+
+    def __init__(self, num_envs: int, count: int, device: torch.device) -> None:
+        """Begin before the first of ``count`` frames."""
+        self.count = count
+        self.number = torch.full((num_envs,), count - 1, dtype=torch.int32, device=device)
+        """Frame of the last image, int32, (E,)."""
+
+    def move_on(self, due: Tensor) -> None:
+        """Go to the next frame in the environments ``due``, bool (E,)."""
+        if self.count > 1:
+            self.number.add_(due).remainder_(self.count)
+
+    def reset(self, mask: Tensor) -> None:
+        """Begin anew in the environments of ``mask``, bool (E,)."""
+        self.number.masked_fill_(mask, self.count - 1)

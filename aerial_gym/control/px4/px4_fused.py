@@ -13,7 +13,7 @@ import warp as wp
 from aerial_gym.control.cascade_fused import make_allot, make_remembering, make_two_levels
 from aerial_gym.control.filters.biquad_fused import make_filter
 from aerial_gym.control.lee_fused import from_vehicle_frame, inverse_cos_pitch, read_vec3, write_vec3
-from aerial_gym.control.px4.mixer_fused import make_mixer
+from aerial_gym.control.px4.mixer import make_mixer
 from aerial_gym.control.px4.rates import FADING_RATE, RATE_NUMBERS
 from aerial_gym.control.reduced_attitude_fused import tilt_first_error
 from aerial_gym.control.timing import Timing

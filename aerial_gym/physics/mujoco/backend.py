@@ -35,8 +35,7 @@ from aerial_gym.physics.integrators import (
 )
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.mujoco.bodies import Bodies, body_rows, load
-from aerial_gym.physics.mujoco.cpu.rollout_bodies import RolloutBodies
-from aerial_gym.physics.mujoco.cpu.rollout_trees import RolloutTrees
+from aerial_gym.physics.mujoco.cpu.rollouts import RolloutBodies, RolloutTrees
 from aerial_gym.physics.mujoco.mjcf import Floor
 from aerial_gym.physics.mujoco.warp.warp_bodies import WarpBodies
 from aerial_gym.physics.mujoco.warp.warp_trees import WarpTrees

@@ -1,4 +1,4 @@
-"""A point, a point that is drawn, and points one after the other.
+"""A point, a drawn point, a sequence of points, an asset and the place of a slung load.
 
 Frames: world of each environment, z up. Letters: E environments.
 """
@@ -9,7 +9,7 @@ from math import pi
 import torch
 from torch import Tensor
 
-from aerial_gym.config.robot import Vec3
+from aerial_gym.config.checks import Vec3
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.random import Purpose
@@ -137,3 +137,72 @@ def chosen(index: Tensor, rows: Sequence[Sequence[float]]) -> Tensor:
 def _check_points(name: str, points: Sequence[Vec3]) -> None:
     if not points or not all(abs(x) < float("inf") for point in points for x in point):
         raise ConfigError(f"command {name}: {points!r}: needs at least one point of finite coordinates")
+
+
+STATES = "vec_root_tensor"
+"""Key of the GTD: states of the robot and, behind it, of the assets."""
+
+
+@COMMANDS.generator("asset")
+class OnAsset(Command):
+    """A point at an asset's origin, or beside it, and the asset's velocity as ``target_velocity``."""
+
+    def __init__(self, values: Values, env: EnvManager, *, name: str, offset: Vec3 = (0.0, 0.0, 0.0)) -> None:
+        """Take the asset.
+
+        Args:
+            name: Of an asset of the environment that is always there; of several instances the first one.
+            offset: From the asset's origin to the target [m], world: it does not turn with the asset.
+        """
+        super().__init__(values, env)
+        kept = [asset.name for asset in env.cfg.assets if asset.keep]
+        if name not in kept:
+            raise ConfigError(f"command asset: name = {name!r}: must be an asset with keep: true, of {kept}")
+        counts = {asset.name: asset.count for asset in env.cfg.assets}
+        self._row = 1 + sum(list(counts.values())[: list(counts).index(name)])
+        self._offset = offset
+        self._target(moving=True)
+        self.reads = (STATES,)
+
+    def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return place and velocity of the target at this instant."""
+        state = values[STATES][:, self._row]
+        return {TARGET: state[:, :3] + state.new_tensor(self._offset), "target_velocity": state[:, 7:10]}
+
+    def after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return the same: where an episode has just begun, the asset stands elsewhere."""
+        return self.at(values)
+
+
+LOAD_PARAMS = "effect_slung_payload"
+"""Key of the GTD: mass, length and damping of the load."""
+
+
+@COMMANDS.generator("load_point")
+class LoadPoint(Command):
+    """``load_target``, drawn uniformly at every reset, for the load; the robot's target is a link's length above it."""
+
+    goal = True
+
+    def __init__(self, values: Values, env: EnvManager, *, low: Vec3, high: Vec3) -> None:
+        """Take the lowest and the highest point for the load as shares of the bounds, 0 <= low <= high <= 1."""
+        super().__init__(values, env)
+        if LOAD_PARAMS not in env.gtd:
+            raise ConfigError("command load_point: nothing hangs on the robot. Give it the effect slung_payload")
+        load = values.declare("load_target", (3,), unit="m", frame="world", meaning="where to carry the load")
+        self._goals = goals_within(load, env, low, high, self.name)
+        self._target()
+        self.reads = ("load_target", LOAD_PARAMS)
+
+    def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return where the robot is when the load hangs at rest at its target."""
+        x, y, z = values["load_target"].unbind(-1)
+        return {TARGET: torch.stack((x, y, z + values[LOAD_PARAMS][:, 1]), dim=-1)}
+
+    def after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return the same: where an episode has just begun, the target and the link are others."""
+        return self.at(values)
+
+    def draw(self, mask: Tensor) -> None:
+        """Draw new points."""
+        self._goals.draw(mask)

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import TreeState
-from aerial_gym.physics.mujoco.cpu.rollout_trees import RolloutTrees
+from aerial_gym.physics.mujoco.cpu.rollouts import RolloutTrees
 from aerial_gym.physics.mujoco.trees import Trees
 from tests.physics.articulated.bounded import DT, Bent, Watched, fly, random_bent, random_snakes, worst_of
 from tests.repetitions import often

@@ -1,16 +1,18 @@
-"""What effects on links do to each link, for one environment; the recursion calls it where it comes by the link."""
+"""Damping, fluid and wrenches of effects on one link in Warp; the recursion calls them at each link.
+
+Damping is ``articulated.link_damping``, fluid is ``articulated.link_fluid``.
+"""
 
 from functools import reduce
 from typing import Any
 
 import warp as wp
 
-from aerial_gym.physics.articulated.fused.inertia import Inertia
-from aerial_gym.physics.articulated.fused.link_damping import make_damping
-from aerial_gym.physics.articulated.fused.link_fluid import make_fluid
-from aerial_gym.physics.articulated.fused.link_wrenches import make_wrenches
+from aerial_gym.physics.articulated.fused.inertia import Inertia, beside
 from aerial_gym.physics.articulated.fused.recursion import JointTypes
 from aerial_gym.physics.effects import LinkEffect, LinkFluidEffect, LinkWrenchEffect
+from aerial_gym.physics.fused.functions import world_up
+from aerial_gym.physics.fused.packing import pickers
 from aerial_gym.physics.model import Model
 
 
@@ -49,3 +51,94 @@ def _then(first: wp.Function, second: wp.Function) -> wp.Function:
         return second(after, rotation, com, ang_vel_0, lin_vel_0, ang_vel, lin_vel, bend, swing, held, dt)
 
     return both
+
+
+def make_damping(model: Model, joints: JointTypes, link: int) -> wp.Function | None:
+    """Return what damps a link, as ``on_links.make_on_links`` has it; None where nothing does.
+
+    Beside the mass stands ``dt D``. The end of a step has ``-D (u + u' dt)`` with ``u' = R^T (a - weight + w x wind)``, where
+    ``a`` is the spatial acceleration of the centre of mass that the recursion finds, weight in it: what is not of ``a`` is a
+    force.
+    """
+    twins = [effect.warp_damping(link) for effect, _ in model.effects[LinkEffect]]
+    if twins in ([], [None]):
+        return None
+    ((twin,), (pick,), held_type) = twins, pickers(model)[LinkEffect], joints.held
+    get = pick.get
+
+    @wp.func
+    def link_damping(
+        own: Inertia, rotation: wp.mat33, com: wp.vec3, ang_vel_0: wp.vec3, lin_vel_0: wp.vec3, ang_vel: wp.vec3,
+        lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3, held: held_type, dt: float,
+    ) -> Inertia:  # fmt: skip
+        back = wp.transpose(rotation)
+        through = back * (lin_vel_0 + wp.cross(ang_vel_0, com) - held.wind)
+        turn = back * ang_vel_0
+        damping = twin(wp.spatial_vector(through, turn), get(held.params))
+        along = wp.spatial_top(damping)
+        about = wp.spatial_bottom(damping)
+        change = held.weight - wp.cross(ang_vel_0, held.wind) - swing - wp.cross(bend, com)
+        force = rotation * wp.cw_mul(along, dt * (back * change) - through)
+        torque = -rotation * wp.cw_mul(about, turn + dt * (back * bend))
+        push = dt * (rotation * wp.diag(along) * back)
+        return beside(own, push, dt * (rotation * wp.diag(about) * back), com, force, torque)
+
+    return link_damping
+
+
+def make_fluid(model: Model, joints: JointTypes, link: int) -> wp.Function | None:
+    """Return what the fluid does to a link, as ``on_links.make_on_links`` has it; None where it does nothing.
+
+    Beside the mass stand ``R A R^T`` and ``R B R^T``. With the spatial acceleration ``a`` of the centre of mass that the
+    recursion finds, weight in it, the fluid takes ``A (a - weight + w x wind) + w x (A u)``: what is not of ``a`` is a force.
+    """
+    twins = [effect.warp_added(link) for effect, _ in model.effects[LinkFluidEffect]]
+    if twins in ([], [None]):
+        return None
+    ((twin,), (pick,), held_type) = twins, pickers(model)[LinkFluidEffect], joints.held
+    get = pick.get
+
+    @wp.func
+    def link_fluid(
+        own: Inertia, rotation: wp.mat33, com: wp.vec3, ang_vel_0: wp.vec3, lin_vel_0: wp.vec3, ang_vel: wp.vec3,
+        lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3, held: held_type, dt: float,
+    ) -> Inertia:  # fmt: skip
+        back = wp.transpose(rotation)
+        added = twin(get(held.params))
+        along = wp.spatial_top(added)
+        about = wp.spatial_bottom(added)
+        through = back * (lin_vel + wp.cross(ang_vel, com) - held.wind)
+        turn = back * ang_vel
+        momentum = wp.cw_mul(along, through)
+        change = held.weight - wp.cross(ang_vel, held.wind) - swing - wp.cross(bend, com)
+        force = rotation * (wp.cw_mul(along, back * change) - wp.cross(turn, momentum))
+        spin = wp.cw_mul(about, turn)
+        torque = -rotation * (wp.cw_mul(about, back * bend) + wp.cross(turn, spin) + wp.cross(through, momentum))
+        return beside(own, rotation * wp.diag(along) * back, rotation * wp.diag(about) * back, com, force, torque)
+
+    return link_fluid
+
+
+def make_wrenches(model: Model, joints: JointTypes, link: int) -> list[wp.Function]:
+    """Return what each such effect does to a link, as ``on_links.make_on_links`` has it."""
+    each = zip(model.effects[LinkWrenchEffect], pickers(model)[LinkWrenchEffect], strict=True)
+    twins = [(effect.warp_wrench(link), pick.get) for (effect, _), pick in each]
+    return [_make_wrench(joints, twin, get) for twin, get in twins if twin is not None]
+
+
+def _make_wrench(joints: JointTypes, twin: wp.Function, get: wp.Function) -> wp.Function:
+    held_type = joints.held
+
+    @wp.func
+    def link_wrench(
+        own: Inertia, rotation: wp.mat33, com: wp.vec3, ang_vel_0: wp.vec3, lin_vel_0: wp.vec3, ang_vel: wp.vec3,
+        lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3, held: held_type, dt: float,
+    ) -> Inertia:  # fmt: skip
+        wrench = twin(wp.transpose(rotation) * world_up(held.attitude), get(held.params))
+        force = rotation * wp.spatial_top(wrench)
+        after = own
+        after.force -= force
+        after.torque -= rotation * wp.spatial_bottom(wrench) + wp.cross(com, force)
+        return after
+
+    return link_wrench

@@ -1,16 +1,23 @@
-"""MuJoCo's threaded rollout of one step of all environments, with models, states and controls kept in place.
+"""MuJoCo on the CPU, in float64: its threaded rollout of one step of all environments, for free bodies and trees of links.
 
-Letters: E environments, N models: 1 where all environments share it, else E.
+Letters: E environments, N models or rows of parameters: 1 where all environments share them, else E; L links, D joints.
 """
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from aerial_gym.physics.mujoco.bodies import load, principal_axes
+from aerial_gym.config.contact import ContactCfg
+from aerial_gym.physics.articulated.tree import Links, Tree
+from aerial_gym.physics.mujoco.bodies import COM, GRAVITY, INERTIA, MASS, Bodies, compile_body, load, principal_axes
+from aerial_gym.physics.mujoco.mjcf import Floor
+from aerial_gym.physics.mujoco.softness import solver_numbers
+from aerial_gym.physics.mujoco.solid_bodies import check_solids
+from aerial_gym.physics.mujoco.trees import Trees, template
 
 
 class Rollouts:
@@ -106,3 +113,134 @@ class Rollouts:
         """Let MuJoCo work out what follows from the numbers that were written into some models."""
         for k in changed:
             self.mujoco.mj_setConst(self.models[k], self._scratch)
+
+
+class RolloutBodies(Bodies):
+    """A MuJoCo model for each row of parameters."""
+
+    def __init__(
+        self, rows: Tensor, num_envs: int, dt: float, *, floor: Floor | None = None, cfg: ContactCfg | None = None
+    ) -> None:
+        """Make the models.
+
+        Args:
+            rows: Of ``body_rows``, (N, 14).
+            dt: Length of a step [s].
+            floor: What can be touched, its spheres in the body frame of the robot file; None for nothing.
+            cfg: How it gives way; with a floor.
+
+        Raises:
+            MissingDependencyError: If MuJoCo is not installed.
+        """
+        self._floor, self.dt, self.num_rows = floor, dt, len(rows)
+        first = compile_body(load("mujoco", backend="mujoco"), floor, cfg, dt)
+        self._rollouts = Rollouts([copy(first) for _ in rows], num_envs, "mjSTATE_XFRC_APPLIED")
+        self._rows = torch.full_like(rows, torch.nan)
+        self.follow(rows)
+
+    def follow(self, rows: Tensor) -> None:
+        """Write the parameters (N, 14) that have changed since the last call into the models."""
+        changed = (rows != self._rows).any(dim=-1).nonzero().squeeze(-1).tolist()
+        if not changed:
+            return
+        new = rows[changed]
+        self._rows[changed] = new
+        inertia = new[:, INERTIA].unflatten(-1, (1, 3, 3))
+        mass = new[:, MASS : MASS + 1]
+        gravity = torch.zeros_like(new[:, COM])
+        gravity[:, 2] = -new[:, GRAVITY]
+        self._rollouts.write_bodies(changed, [1], mass, torch.zeros_like(inertia[..., 0]), inertia, gravity)
+        if self._floor is not None:
+            centers = np.asarray(self._floor.spheres)[:, :3]
+            for k, com in zip(changed, new[:, COM].numpy(), strict=True):
+                self._rollouts.models[k].geom_pos[1:] = centers - com
+        self._rollouts.settle(changed)
+
+    def _inputs(self) -> tuple[Tensor, Tensor, Tensor]:
+        all_, start = self._rollouts, self._rollouts.start
+        return start[:, all_.pose], start[:, all_.twist], all_.control[:, 6:]
+
+    def _step(self) -> None:
+        self._rollouts.step()
+
+    def _outputs(self) -> tuple[Tensor, Tensor]:
+        end = self._rollouts.end
+        return end[:, self._rollouts.pose], end[:, self._rollouts.twist]
+
+
+class RolloutTrees(Trees):
+    """A MuJoCo model for each environment."""
+
+    backend = "mujoco"
+
+    def __init__(
+        self, tree: Tree, num_envs: int, dt: float, *, floor: Floor | None = None, cfg: ContactCfg | None = None
+    ) -> None:
+        """Make the models.
+
+        Args:
+            dt: Length of a step [s].
+            floor: What can be touched; None for nothing.
+            cfg: How it gives way; with a floor.
+
+        Raises:
+            MissingDependencyError: If MuJoCo is not installed.
+            CapabilityError: If an obstacle has a shape that MuJoCo has not.
+        """
+        solids = None if floor is None else floor.solids
+        if solids is not None:
+            check_solids(solids)
+            self._part = solids.part.clone()
+        self._floor, self._cfg = floor, cfg
+        models = self._compile(list(range(num_envs)), tree, dt)
+        super().__init__(models[0], tree, num_envs, dt, solids=solids, touches=floor is not None)
+        held = ("mjSTATE_CTRL", "mjSTATE_MOCAP_POS", "mjSTATE_MOCAP_QUAT")
+        self._rollouts = Rollouts(list(models.values()), num_envs, *held)
+
+    def _compile(self, envs: list[int], tree: Tree, dt: float) -> dict[int, Any]:
+        """Return the models of some environments, into which weights can be written; each of a kind is read once."""
+        mujoco, kinds, found = load("mujoco", backend="mujoco"), {}, {}
+        for env in envs:
+            kind = (
+                ()
+                if self._floor is None or self._floor.solids is None
+                else tuple(self._floor.solids.part[env].tolist())
+            )
+            if kind not in kinds:
+                text = template(tree, dt, floor=self._floor, env=env)
+                model = kinds[kind] = mujoco.MjModel.from_xml_string(text)
+                if self._cfg is not None:
+                    numbers = solver_numbers(self._cfg, dt)
+                    model.geom_solref[:], model.geom_solimp[:] = model.pair_solref[:], model.pair_solimp[:] = numbers
+            found[env] = copy(kinds[kind])
+        return found
+
+    def _follow(self, links: Links, gravity: float, armature: Tensor) -> None:
+        self._renew()
+        super()._follow(links, gravity, armature)
+
+    def _renew(self) -> None:
+        """Make the models anew of environments whose obstacles have become others."""
+        if self._solids is None:
+            return
+        changed = (self._solids.part != self._part).any(dim=-1).nonzero().squeeze(-1).tolist()
+        if changed:
+            self._part.copy_(self._solids.part)
+            self._rollouts.replace(self._compile(changed, self._tree, self.dt))
+            self._weights[changed] = self._armature[changed] = torch.nan
+
+    def _write_links(self, changed: list[int], mass: Tensor, com: Tensor, inertia: Tensor, down: Tensor) -> None:
+        self._rollouts.write_bodies(changed, self._places, mass, com, inertia, down)
+        self._rollouts.settle(changed)
+        if self._touches:
+            self._rollouts.refer_contacts_to(changed, self._places, mass.sum(dim=-1))
+
+    def _write_armature(self, changed: list[int], armature: Tensor) -> None:
+        for k, row in zip(changed, armature.numpy(), strict=True):
+            self._rollouts.models[k].dof_armature[self._rates] = row
+
+    def _run(self, start: Tensor, control: Tensor) -> tuple[Tensor, Tensor | None]:
+        self._rollouts.start[:, 1:] = start
+        self._rollouts.control.copy_(control)
+        self._rollouts.step()
+        return self._rollouts.end[:, 1:], self._rollouts.sensed.unflatten(-1, (-1, 3)).sum(1) if self._touches else None

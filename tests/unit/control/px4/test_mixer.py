@@ -12,8 +12,7 @@ from torch import Tensor
 
 from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.control import CONTROLLERS, make_controller
-from aerial_gym.control.px4.mixer import Mixed, mix
-from aerial_gym.control.px4.mixer_fused import make_mixer
+from aerial_gym.control.px4.mixer import Mixed, make_mixer, mix
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import state_at_rest, vehicle_from_config
 from aerial_gym.physics.fused.types import rotor_types
