@@ -111,6 +111,14 @@ def test_rooms_of_sim2real_import_left() -> None:
     assert wrong_imports(ROOT / "sim2real", ROOM_RANK) == []
 
 
+def test_effects_import_nothing_from_the_fused_kernel() -> None:
+    """The kernel is composed of effects, so what both need lies below them: ``math`` and ``physics.rotors``."""
+    files = sorted((ROOT / "physics" / "effects").rglob("*.py"))
+    assert [
+        path.name for path in files if any(name.startswith("aerial_gym.physics.fused") for name in module_imports(path))
+    ] == []
+
+
 def test_unit_tests_mirror_the_package() -> None:
     """``tests/unit/<package>/test_<module>.py``; those of ``benchmarks/`` stand in a folder of that name."""
     unit = ROOT.parent / "tests" / "unit"

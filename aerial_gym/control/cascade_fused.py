@@ -10,11 +10,12 @@ import warp as wp
 
 from aerial_gym.control.lee_fused import Gains, read_vec3
 from aerial_gym.control.timing import Timing
+from aerial_gym.math.warp_functions import vector_of
 from aerial_gym.physics.fused.allocation import make_prioritised_thrust
 from aerial_gym.physics.fused.command import make_limited, make_speed_of
 from aerial_gym.physics.fused.law import FusedLaw, preparation
 from aerial_gym.physics.fused.memory import LawArrays
-from aerial_gym.physics.fused.types import rotor_types, vector_of
+from aerial_gym.physics.fused.types import rotor_types
 
 if TYPE_CHECKING:
     from aerial_gym.control.laws import Law

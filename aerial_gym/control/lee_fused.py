@@ -13,7 +13,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.control.lee import LEAST_LIFT, LeeGains
-from aerial_gym.physics.fused.functions import inverse_root, rotate, rotate_inverse, unit, world_up
+from aerial_gym.math.warp_functions import inverse_root, rotate, rotate_inverse, unit, world_up
 
 
 @wp.struct

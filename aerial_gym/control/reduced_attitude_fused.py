@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from aerial_gym.physics.fused.functions import rotate
+from aerial_gym.math.warp_functions import rotate
 
 
 @wp.func

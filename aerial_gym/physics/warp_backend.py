@@ -16,6 +16,7 @@ from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.interop import RecordedLaunch, compile_ahead, launch_side_by_side, on_torch_stream, split, start_warp
 from aerial_gym.math.draws import random_arrays
 from aerial_gym.math.random import Randomness
+from aerial_gym.math.warp_functions import vector_of
 from aerial_gym.physics.backend import Capabilities, ControlLaw, EffectsThatRun
 from aerial_gym.physics.contact import position_share
 from aerial_gym.physics.effects import Effect, FluidEffect, LoadEffect
@@ -35,7 +36,7 @@ from aerial_gym.physics.fused.packing import (
     shared_structs,
     types_of,
 )
-from aerial_gym.physics.fused.types import rotor_types, vector_of
+from aerial_gym.physics.fused.types import rotor_types
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.law_memory import LawMemory, check_law_step, fresh_law_memory
 from aerial_gym.physics.memory import Memory, make_memory, num_past_commands

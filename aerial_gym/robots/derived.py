@@ -12,8 +12,8 @@ from torch import Tensor
 from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp
 from aerial_gym.interop.rows.transport import load_quat, store_row, store_vector
 from aerial_gym.interop.streams import BLOCK_DIM
+from aerial_gym.math.warp_functions import euler_of
 from aerial_gym.physics import BodyState
-from aerial_gym.physics.fused.functions import euler_of
 from aerial_gym.robots.finite import NonFinite
 
 RootRow = wp.types.vector(length=13, dtype=wp.float32)

@@ -25,6 +25,7 @@ from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.robot import CollisionShape
 from aerial_gym.errors import ShapeError
 from aerial_gym.interop import RecordedLaunch, on_torch_stream
+from aerial_gym.math.warp_functions import rotate
 from aerial_gym.physics import BodyState
 from aerial_gym.physics.contact import position_share
 from aerial_gym.physics.fused.contact import (
@@ -33,7 +34,6 @@ from aerial_gym.physics.fused.contact import (
     displaced,
     make_velocity_change,
 )
-from aerial_gym.physics.fused.functions import rotate
 from aerial_gym.physics.fused.hook import FusedHook, Substep
 from aerial_gym.physics.integrators import MassState
 from aerial_gym.robots.touching_pairs import MAX_CONTACTS, SceneMotion, add_cores, come_fast, find_pairs, scene_motion

@@ -15,9 +15,8 @@ from aerial_gym.assets.nearest import Core, Nearest, as_box, nearest_of_core
 from aerial_gym.assets.scene_arrays import SceneArrays, part_attitude, part_is_present, part_position
 from aerial_gym.assets.shape_row import BOX, Shape
 from aerial_gym.assets.views import vector_view
+from aerial_gym.math.warp_functions import rotate, vector_of
 from aerial_gym.physics.fused.contact import point_velocity, rows_of
-from aerial_gym.physics.fused.functions import rotate
-from aerial_gym.physics.fused.types import vector_of
 
 MAX_CONTACTS = 8
 """Pairs of sphere and part that push in one step; of more, the deepest."""

@@ -32,8 +32,8 @@ from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp, with
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, random_arrays, stream_of, substream
 from aerial_gym.math.random import Purpose, Randomness, take_mask
+from aerial_gym.math.warp_functions import rotate, rotate_inverse, small_turn
 from aerial_gym.physics.effects.imu_errors import WIDTH
-from aerial_gym.physics.fused.functions import rotate, rotate_inverse, small_turn
 from aerial_gym.sensors.delay import CLOCK_MARGIN, steps_of
 from aerial_gym.sensors.mounts import Pose, nominal_pose
 from aerial_gym.sensors.places import PlaceRange, place_of, place_range

@@ -7,9 +7,9 @@ from torch import Tensor
 
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.interop import start_warp
+from aerial_gym.math.warp_functions import vector_of
 from aerial_gym.physics.contact import POSITION_SHARE, Contacts, _velocity_change
 from aerial_gym.physics.fused.contact import ContactParameters, contact_parameters, make_velocity_change, rows_of
-from aerial_gym.physics.fused.types import vector_of
 
 COUNT, TOUCHES, DT, MASS, MOMENTS = 3, 50_000, 0.01, 0.25, (4.0e-4, 4.0e-4, 8.0e-4)
 LAW = ContactCfg(friction=0.6)

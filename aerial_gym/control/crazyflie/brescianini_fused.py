@@ -14,8 +14,8 @@ from aerial_gym.control.lee import LEAST_LIFT
 from aerial_gym.control.lee_fused import within_inclination
 from aerial_gym.control.reduced_attitude_fused import shortest_turn, tilt_first_error
 from aerial_gym.control.timing import Timing
+from aerial_gym.math.warp_functions import unit, world_up
 from aerial_gym.physics.fused.command import make_speed_of
-from aerial_gym.physics.fused.functions import unit, world_up
 from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.fused.memory import LawArrays
 from aerial_gym.physics.fused.types import rotor_types

@@ -19,8 +19,8 @@ from aerial_gym.control.crazyflie.pid import INNER_NUMBERS, LEEWAY, MOST_MOMENT,
 from aerial_gym.control.lee import LEAST_LIFT
 from aerial_gym.control.lee_fused import read_vec3, within_inclination, write_vec3
 from aerial_gym.control.timing import Timing
+from aerial_gym.math.warp_functions import euler_of, rotate_inverse, unit
 from aerial_gym.physics.fused.command import make_limited, make_speed_of
-from aerial_gym.physics.fused.functions import euler_of, rotate_inverse, unit
 from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.fused.memory import LawArrays
 from aerial_gym.physics.fused.types import rotor_types

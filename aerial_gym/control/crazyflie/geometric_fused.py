@@ -21,8 +21,8 @@ from aerial_gym.control.lee_fused import (
     write_vec3,
 )
 from aerial_gym.control.timing import Timing
+from aerial_gym.math.warp_functions import rotate_inverse, unit
 from aerial_gym.physics.fused.command import make_speed_of
-from aerial_gym.physics.fused.functions import rotate_inverse, unit
 from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.fused.memory import LawArrays
 from aerial_gym.physics.fused.types import rotor_types

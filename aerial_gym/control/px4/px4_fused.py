@@ -17,8 +17,8 @@ from aerial_gym.control.px4.mixer import make_mixer
 from aerial_gym.control.px4.rates import FADING_RATE, RATE_NUMBERS
 from aerial_gym.control.reduced_attitude_fused import tilt_first_error
 from aerial_gym.control.timing import Timing
+from aerial_gym.math.warp_functions import world_up
 from aerial_gym.physics.fused.command import make_speed_of
-from aerial_gym.physics.fused.functions import world_up
 from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.fused.memory import LawArrays
 from aerial_gym.physics.fused.types import rotor_types

@@ -14,8 +14,8 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from aerial_gym.math.warp_functions import rotate_inverse
 from aerial_gym.physics.effects.base import Condition, FluidEffect, Parameter
-from aerial_gym.physics.fused.functions import rotate_inverse
 
 
 class AddedMass(FluidEffect):

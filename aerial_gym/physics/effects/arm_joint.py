@@ -32,8 +32,7 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, Moment, Parameter, WrenchEffect
 from aerial_gym.physics.effects.track import Track, relax
-from aerial_gym.physics.fused.rotors import make_maps
-from aerial_gym.physics.rotors import rotor_thrust, rotor_torque
+from aerial_gym.physics.rotors import make_maps, rotor_thrust, rotor_torque
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
 LARGEST_ANGLE = wp.constant(1.0)

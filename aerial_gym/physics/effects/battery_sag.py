@@ -16,8 +16,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.effects.base import CommandEffect, Moment, Parameter
-from aerial_gym.physics.fused.rotors import make_maps
-from aerial_gym.physics.rotors import rotor_torque
+from aerial_gym.physics.rotors import make_maps, rotor_torque
 from aerial_gym.physics.vehicle import Vehicle
 
 LEAST_SQUARE = wp.constant(1e-6)

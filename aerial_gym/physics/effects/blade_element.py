@@ -48,9 +48,9 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.short import dot, sum_slices
+from aerial_gym.math.warp_functions import reciprocal, root
 from aerial_gym.physics.effects.base import Condition, Parameter, WrenchEffect
 from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, induced, induced_warp
-from aerial_gym.physics.fused.functions import reciprocal, root
 from aerial_gym.physics.rotors import rotor_torque
 
 HALVINGS, NEWTON = 6, 3

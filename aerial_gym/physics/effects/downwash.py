@@ -12,8 +12,8 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.math.warp_functions import rotate_inverse
 from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, Parameter, WrenchEffect
-from aerial_gym.physics.fused.functions import rotate_inverse
 
 
 class Downwash(WrenchEffect):

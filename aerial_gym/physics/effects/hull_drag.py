@@ -9,8 +9,8 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from aerial_gym.math.warp_functions import vector_of
 from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, LinearWrenchEffect, Parameter
-from aerial_gym.physics.fused.types import vector_of
 
 _MEANING = {
     "l": ("N s/m", 1.0, "force per speed along body"),

@@ -21,7 +21,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.physics.fused.functions import inverse_root, reciprocal, root
+from aerial_gym.math.warp_functions import inverse_root, reciprocal, root
 
 AIR_DENSITY = 1.225
 """Of the standard atmosphere at sea level [kg/m³] (ISO 2533)."""

@@ -14,10 +14,10 @@ from typing import ClassVar
 import warp as wp
 from torch import Tensor
 
+from aerial_gym.math.warp_functions import vector_of
 from aerial_gym.physics.effects.base import Parameter
 from aerial_gym.physics.effects.buoyancy import buoyant, warp_buoyant
 from aerial_gym.physics.effects.on_links import ByLink, LinkWrenchEffect
-from aerial_gym.physics.fused.types import vector_of
 
 
 class LinkBuoyancy(ByLink, LinkWrenchEffect):

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
+from aerial_gym.math.warp_functions import vector_of
 from aerial_gym.physics.effects.base import ANY_ROTOR, Effect, Parameter
-from aerial_gym.physics.fused.types import vector_of
 
 
 class LinkEffect(Effect):

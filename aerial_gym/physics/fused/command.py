@@ -5,10 +5,10 @@ Letters: R rotors, U entries of an action.
 
 import warp as wp
 
+from aerial_gym.math.warp_functions import root, vector_of
 from aerial_gym.physics.fused.allocation import make_prioritised_thrust
-from aerial_gym.physics.fused.functions import root
 from aerial_gym.physics.fused.law import FusedLaw, NoGains
-from aerial_gym.physics.fused.types import rotor_types, vector_of
+from aerial_gym.physics.fused.types import rotor_types
 
 
 def make_command(law: FusedLaw, num_rotors: int, general: bool, *, differentiable: bool = False) -> wp.Function:

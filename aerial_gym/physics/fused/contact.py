@@ -9,9 +9,9 @@ from typing import Any
 import warp as wp
 
 from aerial_gym.config.contact import ContactCfg
+from aerial_gym.math.warp_functions import rotate, rotate_inverse, small_turn, solve_motion, vector_of
 from aerial_gym.physics.contact import CAUTIOUS_ITERATIONS, ITERATIONS, PENALTY
-from aerial_gym.physics.fused.functions import rotate, rotate_inverse, small_turn, solve_motion
-from aerial_gym.physics.fused.types import rotor_types, vector_of
+from aerial_gym.physics.fused.types import rotor_types
 
 
 @wp.struct

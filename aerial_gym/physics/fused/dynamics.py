@@ -7,16 +7,8 @@ from typing import Any
 
 import warp as wp
 
+from aerial_gym.math.warp_functions import attitude_rate, rotate, rotate_inverse, rotation_matrix, small_turn, unit_quat
 from aerial_gym.physics.effects import DelayEffect, FluidEffect, LoadEffect, WrenchEffect
-from aerial_gym.physics.fused.functions import (
-    angular_acceleration,
-    attitude_rate,
-    rotate,
-    rotate_inverse,
-    rotation_matrix,
-    small_turn,
-    unit_quat,
-)
 from aerial_gym.physics.fused.kirchhoff import make_coast, make_inverse_mass
 from aerial_gym.physics.fused.loads import make_loads
 from aerial_gym.physics.fused.packing import pickers, values_type
@@ -135,6 +127,12 @@ def _make_hang(model: Model) -> wp.Function | None:
         )
 
     return hang
+
+
+@wp.func
+def angular_acceleration(inertia: wp.mat33, inertia_inverse: wp.mat33, ang_vel: wp.vec3, torque: wp.vec3) -> wp.vec3:
+    """Return ``J^-1 (tau - w x J w)`` [rad/s²], body."""
+    return inertia_inverse * (torque - wp.cross(ang_vel, inertia * ang_vel))
 
 
 @wp.func

@@ -8,7 +8,7 @@ from typing import Any
 
 import warp as wp
 
-from aerial_gym.physics.fused.functions import rotate
+from aerial_gym.math.warp_functions import rotate
 
 
 @dataclass(frozen=True)

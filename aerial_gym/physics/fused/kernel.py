@@ -8,18 +8,17 @@ from typing import Any
 
 import warp as wp
 
+from aerial_gym.math.warp_functions import load_quat, load_vec4, rotate, store_quat, store_vec4, vector_of
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.fused.command import make_command
 from aerial_gym.physics.fused.contact import ContactParameters, make_push_off_ground
 from aerial_gym.physics.fused.dynamics import make_stepper
-from aerial_gym.physics.fused.functions import load_quat, load_vec4, rotate, store_quat, store_vec4
 from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
 from aerial_gym.physics.fused.law import FusedLaw, NoGains, preparation
 from aerial_gym.physics.fused.memory import make_begin, memory_type
 from aerial_gym.physics.fused.packing import Packing, num_values, types_of, values_type
 from aerial_gym.physics.fused.readers import make_command_reader, make_gains_reader, make_reader, make_vehicle_reader
 from aerial_gym.physics.fused.rotors import make_dead_band
-from aerial_gym.physics.fused.types import vector_of
 from aerial_gym.physics.model import Model
 
 

@@ -4,8 +4,8 @@ from typing import Any
 
 import warp as wp
 
+from aerial_gym.math.warp_functions import rotate, rotate_inverse, unit_quat
 from aerial_gym.physics.effects import FluidEffect
-from aerial_gym.physics.fused.functions import rotate, rotate_inverse, unit_quat
 from aerial_gym.physics.fused.loads import make_wind
 from aerial_gym.physics.fused.packing import pickers, types_of, values_type
 from aerial_gym.physics.kirchhoff import ITERATIONS

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.physics.fused.types import vector_of
+from aerial_gym.math.warp_functions import vector_of
 from aerial_gym.physics.law_memory import LawNeeds
 from aerial_gym.physics.vehicle import Vehicle
 

@@ -9,12 +9,12 @@ from typing import Any
 import warp as wp
 from torch import Tensor
 
+from aerial_gym.math.warp_functions import rotate_inverse, world_up
 from aerial_gym.physics.effects import Effect, FluidEffect, RotorEffect, WindEffect, WrenchEffect
-from aerial_gym.physics.fused.functions import rotate_inverse, world_up
 from aerial_gym.physics.fused.packing import pickers, values_type
-from aerial_gym.physics.fused.rotors import make_maps
 from aerial_gym.physics.fused.types import Hub, rotor_types
 from aerial_gym.physics.model import Model
+from aerial_gym.physics.rotors import make_maps
 
 NO_CEILING = 1e30
 """Height in its place [m]: far above all others, and finite in float32."""

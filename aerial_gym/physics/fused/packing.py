@@ -16,6 +16,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from aerial_gym.math.warp_functions import vector_of
 from aerial_gym.physics.effects import (
     STEP_KINDS,
     CommandEffect,
@@ -26,7 +27,7 @@ from aerial_gym.physics.effects import (
     WrenchEffect,
 )
 from aerial_gym.physics.fused.law import FusedLaw, NoGains
-from aerial_gym.physics.fused.types import RotorTypes, rotor_types, vector_of
+from aerial_gym.physics.fused.types import RotorTypes, rotor_types
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotor_lag import FASTEST, SHORTEST
 from aerial_gym.physics.vehicle import is_shared

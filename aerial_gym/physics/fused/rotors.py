@@ -1,6 +1,6 @@
-"""How the rotors of one environment follow their commands, and the maps of their states, composed for plain or general rotors.
+"""Warp functions of the rotors of one environment: lag, slew limit and dead band, for plain or general rotors.
 
-Plain rotors have speeds without sign that follow with a lag alone: their decays over a stage are worked out beforehand.
+Plain rotors have unsigned speeds with a first-order lag only. Their decay over a stage is computed beforehand.
 Letters: R rotors.
 """
 
@@ -9,46 +9,63 @@ from typing import Any
 
 import warp as wp
 
-from aerial_gym.physics.fused.functions import lag_acceleration, lag_speed, limited_rate, make_limited_lag
 from aerial_gym.physics.fused.types import rotor_types
 
 
+@wp.func
+def lag_acceleration(speed: float, command: float, decay_up: float, decay_down: float, jump: float, dt: float) -> float:
+    """Return ``rotors.lag_acceleration`` of one rotor, from its decay over half a step."""
+    decay = wp.where(command > speed, decay_up, decay_down)
+    if decay > 0.0:
+        return -2.0 * wp.log(decay) / dt * (command - speed)
+    return jump / dt
+
+
+@wp.func
+def lag_speed(speed: float, command: float, decay_up: float, decay_down: float) -> float:
+    """Return the rotor speed [rad/s] after a span in which the distance to the command shrinks by ``exp(-span / tau)``."""
+    return command + (speed - command) * wp.where(command > speed, decay_up, decay_down)
+
+
 @cache
-def make_maps(vehicle: Any) -> tuple[wp.Function, wp.Function]:
-    """Return ``rotors.rotor_thrust`` and ``rotors.rotor_torque`` of one rotor, (vehicle, rotor, state) -> [N], [N m].
-
-    Args:
-        vehicle: The ``wp.struct`` of the vehicle.
-    """
+def make_limited_lag(real: Any) -> wp.Function:
+    """Return ``rotor_lag.limited_lag`` of one rotor in a precision, with the arguments of it."""
 
     @wp.func
-    def thrust(plant: vehicle, i: int, n: float) -> float:
-        return plant.thrust_map[i, 0] + n * (plant.thrust_map[i, 1] + n * plant.thrust_map[i, 2])
+    def remaining(distance: real, tau: real, slew: real, span: real) -> real:
+        """Return what is left of a distance >= 0 after a span [s]: at the slew rate first, then exponentially."""
+        linear = wp.min(slew * span, wp.max(distance - slew * tau, real(0.0)))
+        return (distance - linear) * wp.exp(-wp.max(span - linear / slew, real(0.0)) / tau)
 
     @wp.func
-    def torque(plant: vehicle, i: int, n: float) -> float:
-        return plant.torque_map[i, 0] + n * (plant.torque_map[i, 1] + n * plant.torque_map[i, 2])
-
-    if "reverse_thrust_map" not in vehicle.vars:
-        return thrust, torque
-
-    @wp.func
-    def signed_thrust(plant: vehicle, i: int, n: float) -> float:
-        value = thrust(plant, i, n)
-        if n < 0.0:
-            backwards = plant.reverse_thrust_map
-            value = -(backwards[i, 0] - n * (backwards[i, 1] - n * backwards[i, 2]))
-        return value
+    def time_between(distance: real, less: real, tau: real, slew: real) -> real:
+        """Return the time [s] in which a distance shrinks to a smaller one, > 0."""
+        linear = wp.min(wp.max(distance - slew * tau, real(0.0)), distance - less)
+        return linear / slew + tau * wp.log((distance - linear) / less)
 
     @wp.func
-    def signed_torque(plant: vehicle, i: int, n: float) -> float:
-        value = torque(plant, i, n)
-        if n < 0.0:
-            backwards = plant.reverse_torque_map
-            value = -(backwards[i, 0] - n * (backwards[i, 1] - n * backwards[i, 2]))
-        return value
+    def limited_lag(
+        state: real, command: real, tau_up: real, tau_down: real, slew_up: real, slew_down: real, span: real
+    ) -> real:
+        way = wp.where(command < state, real(-1.0), real(1.0))
+        distance = wp.abs(command - state)
+        falling = wp.where(state * way < real(0.0), span, real(0.0))
+        if falling > real(0.0) and command * way > real(0.0):
+            falling = wp.min(time_between(distance, wp.abs(command), tau_down, slew_down), span)
+        left = remaining(distance, tau_down, slew_down, falling)
+        return command - way * remaining(left, tau_up, slew_up, span - falling)
 
-    return signed_thrust, signed_torque
+    return limited_lag
+
+
+@wp.func
+def limited_rate(
+    speed: float, command: float, tau_up: float, tau_down: float, slew_up: float, slew_down: float
+) -> float:
+    """Return ``rotor_lag.rate_towards`` of one rotor; without lag the rate is the slew rate."""
+    falls = speed * (command - speed) < 0.0
+    slew = wp.where(falls, slew_down, slew_up)
+    return wp.clamp((command - speed) / wp.where(falls, tau_down, tau_up), -slew, slew)
 
 
 @cache

@@ -9,6 +9,8 @@ from typing import Any
 
 import warp as wp
 
+from aerial_gym.math.warp_functions import vector_of
+
 
 @dataclass(frozen=True)
 class RotorTypes:
@@ -61,11 +63,6 @@ class Suspension:
     acceleration: wp.vec3  # gravity included [m/s²], world
     mobility: wp.mat33  # acceleration per force [1/kg], world
     gravity: float  # [m/s²]
-
-
-def vector_of(length: int) -> Any:
-    """Return the type of a vector of floats."""
-    return wp.types.vector(length=length, dtype=wp.float32)
 
 
 def rotor_types(num_rotors: int, general: bool = False) -> RotorTypes:

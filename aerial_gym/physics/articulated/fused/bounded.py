@@ -8,10 +8,10 @@ from typing import Any
 
 import warp as wp
 
+from aerial_gym.math.warp_functions import vector_of
 from aerial_gym.physics.articulated.articulation import Articulation
 from aerial_gym.physics.articulated.bounded_efforts import TOLERANCE
 from aerial_gym.physics.articulated.joint_laws import STICK_RATE
-from aerial_gym.physics.fused.types import vector_of
 
 SEARCHES = 24
 """Secants of a line search, at most; where friction holds, the slope is steep and eight left rows unsolved."""

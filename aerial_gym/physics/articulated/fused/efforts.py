@@ -5,8 +5,8 @@ from typing import Any
 
 import warp as wp
 
+from aerial_gym.math.warp_functions import vector_of
 from aerial_gym.physics.articulated.articulation import Articulation
-from aerial_gym.physics.fused.types import vector_of
 
 
 @cache

@@ -8,8 +8,8 @@ Letters: R rotors, S rotors of a link.
 
 import warp as wp
 
+from aerial_gym.math.warp_functions import rotate
 from aerial_gym.physics.articulated.fused.recursion import JointTypes
-from aerial_gym.physics.fused.functions import rotate
 from aerial_gym.physics.fused.loads import make_loads
 from aerial_gym.physics.fused.types import rotor_types
 from aerial_gym.physics.model import Model

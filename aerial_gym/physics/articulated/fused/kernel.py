@@ -10,6 +10,7 @@ from typing import Any
 
 import warp as wp
 
+from aerial_gym.math.warp_functions import rotate, rotate_inverse, small_turn, solve_motion, unit_quat, vector_of
 from aerial_gym.physics.articulated.articulation import Articulation
 from aerial_gym.physics.articulated.bounded_efforts import ROUNDS
 from aerial_gym.physics.articulated.fused.bounded import make_bounded
@@ -21,7 +22,6 @@ from aerial_gym.physics.articulated.fused.recursion import joint_types, make_rec
 from aerial_gym.physics.effects import DelayEffect, WrenchEffect
 from aerial_gym.physics.fused.command import make_command
 from aerial_gym.physics.fused.contact import ContactParameters
-from aerial_gym.physics.fused.functions import rotate, rotate_inverse, small_turn, solve_motion, unit_quat
 from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
 from aerial_gym.physics.fused.law import FusedLaw, NoGains, preparation
 from aerial_gym.physics.fused.loads import make_loads, make_wind
@@ -29,7 +29,6 @@ from aerial_gym.physics.fused.memory import make_begin, memory_type
 from aerial_gym.physics.fused.packing import Packing, num_values, types_of, values_type
 from aerial_gym.physics.fused.readers import make_command_reader, make_gains_reader, make_reader, make_vehicle_reader
 from aerial_gym.physics.fused.rotors import make_dead_band, make_follow
-from aerial_gym.physics.fused.types import vector_of
 from aerial_gym.physics.model import Model
 
 

@@ -11,7 +11,7 @@ import warp as wp
 from aerial_gym.physics.articulated.fused.inertia import Inertia, beside
 from aerial_gym.physics.articulated.fused.recursion import JointTypes
 from aerial_gym.physics.effects import LinkEffect, LinkFluidEffect, LinkWrenchEffect
-from aerial_gym.physics.fused.functions import world_up
+from aerial_gym.math.warp_functions import world_up
 from aerial_gym.physics.fused.packing import pickers
 from aerial_gym.physics.model import Model
 

@@ -20,10 +20,11 @@ from typing import Any
 
 import warp as wp
 
+from aerial_gym.math.warp_functions import vector_of
 from aerial_gym.physics.articulated.articulation import Articulation
 from aerial_gym.physics.articulated.fused.efforts import held_of, make_effort
 from aerial_gym.physics.articulated.fused.inertia import Inertia, accelerated, carry, inertia_of, plus
-from aerial_gym.physics.fused.types import RotorTypes, vector_of
+from aerial_gym.physics.fused.types import RotorTypes
 
 
 @dataclass(frozen=True)

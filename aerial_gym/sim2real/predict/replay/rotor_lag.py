@@ -15,7 +15,7 @@ from torch import Tensor
 
 from aerial_gym.errors import ShapeError
 from aerial_gym.interop import start_warp
-from aerial_gym.physics.fused.functions import make_limited_lag
+from aerial_gym.physics.fused.rotors import make_limited_lag
 from aerial_gym.physics.rotor_lag import FASTEST, SHORTEST
 
 

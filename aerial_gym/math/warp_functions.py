@@ -1,13 +1,18 @@
-"""The physics of one environment as Warp functions that do not depend on the number of rotors.
+"""Warp functions of vectors and quaternions that every kernel shares: roots, rotations, small solves, aligned memory.
 
-They follow ``math.quaternion``, ``physics.rotors`` and ``physics.rigid_body``, where the sources stand.
-Frames: body is x forward, y left, z up; world is z up.
+The quaternion functions equal those of ``math.quaternion`` on one row; that module gives the sources.
+Quaternions are xyzw, unit, body to world; body is x forward, y left, z up; world is z up.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
+
+
+def vector_of(length: int) -> Any:
+    """Return the type of a vector of floats."""
+    return wp.types.vector(length=length, dtype=wp.float32)
+
 
 # A correctly rounded root or quotient takes some ten or twenty instructions and a branch on a GPU; these are one, with a
 # relative error of at most 2^-22.9 (PTX ISA 8.5, ``sqrt.approx``, ``rsqrt.approx`` and ``rcp.approx``).
@@ -185,68 +190,6 @@ def small_turn(rotation: wp.vec3) -> wp.quat:
 def attitude_rate(q: wp.quat, ang_vel: wp.vec3) -> wp.quat:
     """Return ``q' = q (w, 0) / 2``."""
     return 0.5 * (q * wp.quat(ang_vel[0], ang_vel[1], ang_vel[2], 0.0))
-
-
-@wp.func
-def lag_acceleration(speed: float, command: float, decay_up: float, decay_down: float, jump: float, dt: float) -> float:
-    """Return ``rotors.lag_acceleration`` of one rotor, from its decay over half a step."""
-    decay = wp.where(command > speed, decay_up, decay_down)
-    if decay > 0.0:
-        return -2.0 * wp.log(decay) / dt * (command - speed)
-    return jump / dt
-
-
-@wp.func
-def lag_speed(speed: float, command: float, decay_up: float, decay_down: float) -> float:
-    """Return the rotor speed [rad/s] after a span in which the distance to the command shrinks by ``exp(-span / tau)``."""
-    return command + (speed - command) * wp.where(command > speed, decay_up, decay_down)
-
-
-@cache
-def make_limited_lag(real: Any) -> wp.Function:
-    """Return ``rotor_lag.limited_lag`` of one rotor in a precision, with the arguments of it."""
-
-    @wp.func
-    def remaining(distance: real, tau: real, slew: real, span: real) -> real:
-        """Return what is left of a distance >= 0 after a span [s]: at the slew rate first, then exponentially."""
-        linear = wp.min(slew * span, wp.max(distance - slew * tau, real(0.0)))
-        return (distance - linear) * wp.exp(-wp.max(span - linear / slew, real(0.0)) / tau)
-
-    @wp.func
-    def time_between(distance: real, less: real, tau: real, slew: real) -> real:
-        """Return the time [s] in which a distance shrinks to a smaller one, > 0."""
-        linear = wp.min(wp.max(distance - slew * tau, real(0.0)), distance - less)
-        return linear / slew + tau * wp.log((distance - linear) / less)
-
-    @wp.func
-    def limited_lag(
-        state: real, command: real, tau_up: real, tau_down: real, slew_up: real, slew_down: real, span: real
-    ) -> real:
-        way = wp.where(command < state, real(-1.0), real(1.0))
-        distance = wp.abs(command - state)
-        falling = wp.where(state * way < real(0.0), span, real(0.0))
-        if falling > real(0.0) and command * way > real(0.0):
-            falling = wp.min(time_between(distance, wp.abs(command), tau_down, slew_down), span)
-        left = remaining(distance, tau_down, slew_down, falling)
-        return command - way * remaining(left, tau_up, slew_up, span - falling)
-
-    return limited_lag
-
-
-@wp.func
-def limited_rate(
-    speed: float, command: float, tau_up: float, tau_down: float, slew_up: float, slew_down: float
-) -> float:
-    """Return ``rotor_lag.rate_towards`` of one rotor; without lag the rate is the slew rate."""
-    falls = speed * (command - speed) < 0.0
-    slew = wp.where(falls, slew_down, slew_up)
-    return wp.clamp((command - speed) / wp.where(falls, tau_down, tau_up), -slew, slew)
-
-
-@wp.func
-def angular_acceleration(inertia: wp.mat33, inertia_inverse: wp.mat33, ang_vel: wp.vec3, torque: wp.vec3) -> wp.vec3:
-    """Return ``J^-1 (tau - w x J w)`` [rad/s²], body."""
-    return inertia_inverse * (torque - wp.cross(ang_vel, inertia * ang_vel))
 
 
 # A vector of four numbers in memory is four loads of 4 bytes to the compiler, and four stores that each fill a quarter of a
