@@ -27,7 +27,7 @@ from aerial_gym.control.laws import LAWS
 from aerial_gym.control.linear_loop import AXES, BODY, SampledLoop
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.backend import ControlLaw
-from aerial_gym.physics.effects import DelayEffect, EffectParams, WindEffect, WrenchEffect
+from aerial_gym.physics.effects import DelayEffect, EffectParams
 from aerial_gym.physics.model import Model, build_model, check_effects, robot_effects
 from aerial_gym.physics.vehicle import Vehicle, vehicle_from_config
 
@@ -71,7 +71,7 @@ def hover_model(
     if effects is None:
         check_effects(robot)
         effects = robot_effects(robot, num_envs=1, device=torch.device("cpu"), dtype=torch.float64, rigid=True)
-    acting = [each for each in effects if not (each[0].random and isinstance(each[0], WindEffect | WrenchEffect))]
+    acting = [each for each in effects if not (each[0].random and each[0].additive)]
     return build_model(vehicle, acting, gravity=gravity, ground_height=-FAR, ceiling_height=FAR)
 
 

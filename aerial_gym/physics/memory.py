@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.math.random import Purpose, Randomness, counted_state
-from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect, LoadEffect, Moment
+from aerial_gym.physics.effects import CommandEffect, DelayEffect, LoadEffect, Moment
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotor_lag import Ramp, RotorCommand, Succession
 
@@ -87,27 +87,14 @@ def begin_substep(
         place.effect.remember(moment, torch.cat((params, memory.numbers[:, place.memory]), dim=-1))
         for place, (_, params) in zip(places, model.effects.forces, strict=True)
     ]
-    model, memory = _with_numbers(model, numbers), replace(memory, numbers=torch.cat(numbers, dim=-1))
+    model = replace(model, effects=model.effects.with_memory(numbers))
+    memory = replace(memory, numbers=torch.cat(numbers, dim=-1))
     if isinstance(command, Ramp):
         return model, command, memory
     if not model.effects[DelayEffect]:
         return model, _led_to(model, command), memory
     memory = replace(memory, past=torch.cat((command.unsqueeze(1), memory.past[:, :-1]), dim=1))
     return model, _delayed(model, memory, rotor_speed, dt), memory
-
-
-def _with_numbers(model: Model, numbers: list[Tensor]) -> Model:
-    """Return the model with what each effect remembers, (E, M), behind its parameters; a load keeps its parameters alone."""
-    remembered: dict[type[Effect], list[Tensor]] = {}
-    for (effect, _), own in zip(model.effects.forces, numbers, strict=True):
-        remembered.setdefault(effect.kind, []).append(own)
-
-    def joined(effect: Effect, params: Tensor) -> Tensor:
-        if effect.kind is LoadEffect or effect.kind not in remembered:
-            return params
-        return torch.cat((params, remembered[effect.kind].pop(0)), dim=-1)  # effects of one kind keep their order
-
-    return replace(model, effects=model.effects.with_params(joined))
 
 
 def _led_to(model: Model, command: Tensor) -> Tensor:

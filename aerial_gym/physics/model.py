@@ -21,11 +21,7 @@ from aerial_gym.physics.effects import (
     Effect,
     EffectParams,
     EffectsByKind,
-    FluidEffect,
     LearnedResidual,
-    LinkEffect,
-    LinkFluidEffect,
-    LoadEffect,
     VehicleEffect,
 )
 from aerial_gym.physics.vehicle import Vehicle, is_shared, share_row
@@ -189,12 +185,15 @@ def _check_scene(effects: Sequence[EffectParams], ceiling_height: float | Tensor
             raise ConfigError(
                 f"effect {effect.name}: there is no ceiling. Give ceiling_height [m] in the environment file"
             )
-    alone = ((LoadEffect, "load"), (DelayEffect, "delay"), (FluidEffect, "fluid"), (LinkEffect, "damping of links"))
-    alone += ((LinkFluidEffect, "fluid of links"),)
-    for kind, what in alone:
-        names = [effect.name for effect, _ in effects if effect.kind is kind]
-        if len(names) > 1:
-            raise ConfigError(f"effects {names[0]} and {names[1]}: a vehicle has one {what} at most. Drop one of them")
+    first: dict[str, str] = {}
+    for effect, _ in effects:
+        if effect.single in first:
+            raise ConfigError(
+                f"effects {first[effect.single]} and {effect.name}: a vehicle has one {effect.single} at most. "
+                "Drop one of them"
+            )
+        if effect.single:
+            first[effect.single] = effect.name
 
 
 def _as_type(rows: Tensor, dtype: torch.dtype) -> Tensor:

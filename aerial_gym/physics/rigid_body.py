@@ -28,14 +28,11 @@ from aerial_gym.physics.effects import (
     WindEffect,
     WrenchEffect,
 )
-from aerial_gym.physics.effects.base import linear_wrench
+from aerial_gym.physics.effects.kinds.wrench import linear_wrench
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import Vehicle, is_same_row, is_shared, share_row
-
-_FORCES = (WindEffect, RotorEffect, WrenchEffect, FluidEffect, LoadEffect)
-"""Kinds on which the acceleration in a state depends."""
 
 
 def multiply_rows(matrix: Tensor, vector: Tensor) -> Tensor:
@@ -377,7 +374,7 @@ def accelerations(
         model = with_memory(model, remembered)
     told = {*(remembered or ()), *(effect.name for effect, _ in model.effects[LoadEffect] if load is not None)}
     for effect, _ in model.effects.forces:
-        if effect.kind in _FORCES and effect.remembers and effect.name not in told:
+        if effect.accelerates and effect.remembers and effect.name not in told:
             raise CapabilityError(
                 f"effect {effect.name}: has memory, so a single state does not tell its force. Fly it with a backend instead"
             )

@@ -91,7 +91,7 @@ class Pushing:
             )
         from aerial_gym.robots.scene_contact import PushedRobot, SceneContact
 
-        in_fluid = any(EFFECTS.get(name).kind is FluidEffect for name in robot.effects)
+        in_fluid = any(isinstance(EFFECTS.get(name), FluidEffect) for name in robot.effects)
         pushed = PushedRobot(
             mass=mass,
             inertia=inertia,

@@ -172,7 +172,7 @@ class RobotManager:
             self._effects[i] = (effect, stored)
         self.imu_errors: Tensor | None = None
         """What effects on the inertial sensors come to, (E, 24), as ``physics.effects.imu_errors`` says; None without such."""
-        if any(effect.kind is ImuEffect for effect, _ in self._effects):
+        if any(isinstance(effect, ImuEffect) for effect, _ in self._effects):
             self.imu_errors = gtd.declare(TensorSpec(
                 key="robot_imu_errors", shape=("E", WIDTH), unit="m/s², rad/s, -", frame="body", owner="robot",
                 meaning="measured = A true + b of specific force and angular velocity: b and columns of A of each",

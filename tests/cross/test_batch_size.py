@@ -12,7 +12,7 @@ from aerial_gym.math.random import Randomness
 from aerial_gym.physics import BodyState, TorchBackend, build_model, vehicle_from_config
 from aerial_gym.physics.articulated.articulation import articulation_of
 from aerial_gym.physics.effects import LearnedResidual
-from aerial_gym.physics.effects.base import sum_of_crosses, velocity_of_turning
+from aerial_gym.physics.effects.condition import sum_of_crosses, velocity_of_turning
 from aerial_gym.physics.model import robot_effects
 from aerial_gym.physics.state import JointedState, state_at_rest
 from aerial_gym.robots import ROBOTS

@@ -12,7 +12,7 @@ from aerial_gym.physics.rigid_body import condition_at_origin
 from tests.physics.vehicles import CEILING, F64, lopsided_robot, random_state
 
 ROWS = 6
-KINDS = {name: EFFECTS.get(name) for name in EFFECTS if EFFECTS.get(name).kind in (RotorEffect, WrenchEffect)}
+KINDS = {name: EFFECTS.get(name) for name in EFFECTS if isinstance(EFFECTS.get(name), RotorEffect | WrenchEffect)}
 AT_HUBS = [name for name, one in KINDS.items() if one.at_hubs]
 OF_CENTRE = ["rotor_drag", "quadratic_drag", "downwash"]
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from aerial_gym.math.short import dot, sum_slices
-from aerial_gym.physics.effects.base import sum_of_crosses
+from aerial_gym.physics.effects.condition import sum_of_crosses
 from tests.physics.vehicles import F64
 
 RNG = np.random.default_rng(0)

@@ -5,32 +5,24 @@ from typing import TYPE_CHECKING
 from aerial_gym.lazy import exports
 
 if TYPE_CHECKING:
-    from aerial_gym.physics.effects.base import (
-        CommandEffect,
-        Condition,
-        DelayEffect,
-        Effect,
-        FluidEffect,
-        ImuEffect,
-        LinearWrenchEffect,
-        LoadEffect,
-        Moment,
-        Parameter,
-        RotorEffect,
-        RotorSensorEffect,
-        Suspension,
-        VehicleEffect,
-        WindEffect,
-        WrenchEffect,
-    )
-    from aerial_gym.physics.effects.by_kind import STEP_KINDS, EffectParams, EffectsByKind
+    from aerial_gym.physics.effects.base import Effect, Moment
+    from aerial_gym.physics.effects.by_kind import EffectParams, EffectsByKind
     from aerial_gym.physics.effects.catalog import EFFECTS
+    from aerial_gym.physics.effects.condition import Condition
+    from aerial_gym.physics.effects.kinds.command import CommandEffect, DelayEffect
+    from aerial_gym.physics.effects.kinds.fluid import FluidEffect
+    from aerial_gym.physics.effects.kinds.link import LinkEffect, LinkFluidEffect, LinkWrenchEffect
+    from aerial_gym.physics.effects.kinds.load import LoadEffect, Suspension
+    from aerial_gym.physics.effects.kinds.rotor import RotorEffect
+    from aerial_gym.physics.effects.kinds.sensor import ImuEffect, RotorSensorEffect
+    from aerial_gym.physics.effects.kinds.vehicle import VehicleEffect
+    from aerial_gym.physics.effects.kinds.wind import WindEffect
+    from aerial_gym.physics.effects.kinds.wrench import LinearWrenchEffect, WrenchEffect
     from aerial_gym.physics.effects.learned_residual import LearnedResidual
-    from aerial_gym.physics.effects.on_links import LinkEffect, LinkFluidEffect, LinkWrenchEffect
+    from aerial_gym.physics.effects.parameter import Parameter
 
 __all__ = [
     "EFFECTS",
-    "STEP_KINDS",
     "CommandEffect",
     "Condition",
     "DelayEffect",

@@ -11,7 +11,9 @@ the Crazyflie 2.0, section 3.2.
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.physics.effects.base import ANY_ROTOR, DelayEffect, Parameter
+from aerial_gym.physics.effects.base import ANY_ROTOR
+from aerial_gym.physics.effects.kinds.command import DelayEffect
+from aerial_gym.physics.effects.parameter import Parameter
 
 LONGEST = 0.1
 """Bound of the delay [s]; the backend keeps the commands of this span (51 at substeps of 2 ms)."""

@@ -15,7 +15,9 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.math.warp_functions import rotate_inverse
-from aerial_gym.physics.effects.base import Condition, FluidEffect, Parameter
+from aerial_gym.physics.effects.condition import Condition
+from aerial_gym.physics.effects.kinds.fluid import FluidEffect
+from aerial_gym.physics.effects.parameter import Parameter
 
 
 class AddedMass(FluidEffect):

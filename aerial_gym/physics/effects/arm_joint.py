@@ -30,7 +30,10 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, Moment, Parameter, WrenchEffect
+from aerial_gym.physics.effects.base import ANY_ROTOR, Moment
+from aerial_gym.physics.effects.condition import Condition
+from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
+from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.effects.track import Track, relax
 from aerial_gym.physics.rotors import make_maps, rotor_thrust, rotor_torque
 from aerial_gym.physics.vehicle import Vehicle, is_shared

@@ -11,7 +11,9 @@ tracking by compensating for aerodynamic effects, eq. 6.
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.physics.effects.base import Condition, Parameter, RotorEffect
+from aerial_gym.physics.effects.condition import Condition
+from aerial_gym.physics.effects.kinds.rotor import RotorEffect
+from aerial_gym.physics.effects.parameter import Parameter
 
 
 class AxialInflow(RotorEffect):

@@ -15,7 +15,9 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics.effects.base import CommandEffect, Moment, Parameter
+from aerial_gym.physics.effects.base import Moment
+from aerial_gym.physics.effects.kinds.command import CommandEffect
+from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.rotors import make_maps, rotor_torque
 from aerial_gym.physics.vehicle import Vehicle
 

@@ -49,8 +49,10 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.short import dot, sum_slices
 from aerial_gym.math.warp_functions import reciprocal, root
-from aerial_gym.physics.effects.base import Condition, Parameter, WrenchEffect
+from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, induced, induced_warp
+from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
+from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.rotors import rotor_torque
 
 HALVINGS, NEWTON = 6, 3

@@ -11,8 +11,10 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.base import ANY_ROTOR, CommandEffect, Moment, Parameter
+from aerial_gym.physics.effects.base import ANY_ROTOR, Moment
 from aerial_gym.physics.effects.failure import LATEST, TIME, middle_of
+from aerial_gym.physics.effects.kinds.command import CommandEffect
+from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.vehicle import Vehicle
 
 

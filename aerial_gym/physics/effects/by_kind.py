@@ -1,4 +1,4 @@
-"""Effects with their parameters, sorted by kind.
+"""Effects with their parameters, selected by kind.
 
 Letters: E environments, P parameters of an effect.
 """
@@ -7,43 +7,20 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import TypeVar
 
+import torch
 from torch import Tensor
 
-from aerial_gym.physics.effects.base import (
-    CommandEffect,
-    DelayEffect,
-    Effect,
-    FluidEffect,
-    LoadEffect,
-    RotorEffect,
-    WindEffect,
-    WrenchEffect,
-)
-from aerial_gym.physics.effects.on_links import LinkEffect, LinkFluidEffect, LinkWrenchEffect
+from aerial_gym.physics.effects.base import Effect
 
 EffectParams = tuple[Effect, Tensor]
 """An effect and its parameters, (E, P)."""
-
-STEP_KINDS: tuple[type[Effect], ...] = (
-    WindEffect,
-    RotorEffect,
-    WrenchEffect,
-    FluidEffect,
-    LinkWrenchEffect,
-    LinkFluidEffect,
-    LinkEffect,
-    CommandEffect,
-    DelayEffect,
-    LoadEffect,
-)
-"""Kinds that act in every step, in the order of parameters and memory; a load comes last, as its memory moves with the body."""
 
 Kind = TypeVar("Kind", bound=Effect)
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where the numbers of one effect stand among those of all that act in a step."""
+    """Position of the numbers of one effect among those of all effects of a step."""
 
     effect: Effect
     params: slice
@@ -54,30 +31,33 @@ class Place:
 
 
 class EffectsByKind:
-    """Effects with their parameters; ``effects[WindEffect]`` are those of a kind, in the order in which they were given."""
+    """Effects with their parameters; ``effects[WindEffect]`` are those of a kind, in the given order."""
 
     def __init__(self, effects: Iterable[EffectParams] = ()) -> None:
-        """Take effects with their parameters (E, P), or with what they remember behind them, (E, P + M)."""
+        """Take effects with their parameters (E, P), or with their memory behind them, (E, P + M)."""
         self._all = tuple(effects)
+        ranked = ((effect.order, index) for index, (effect, _) in enumerate(self._all) if effect.order is not None)
+        self.step_order = tuple(index for _, index in sorted(ranked))
+        """Indices of the effects of a step, by ``Effect.order``."""
         self._of: dict[type[Effect], tuple[EffectParams, ...]] = {}
-        for effect, params in self._all:
-            self._of[effect.kind] = (*self._of.get(effect.kind, ()), (effect, params))
 
     def __iter__(self) -> Iterator[EffectParams]:
-        """Yield all of them as they were given."""
+        """Yield all effects in the given order."""
         return iter(self._all)
 
     def __getitem__(self, kind: type[Kind]) -> tuple[tuple[Kind, Tensor], ...]:
         """Return the effects of a kind."""
-        return self._of.get(kind, ())  # pyright: ignore[reportReturnType]
+        if kind not in self._of:
+            self._of[kind] = tuple(one for one in self._all if isinstance(one[0], kind))
+        return self._of[kind]  # pyright: ignore[reportReturnType]
 
     @property
     def forces(self) -> tuple[EffectParams, ...]:
-        """Effects that act in every step, in the order of ``STEP_KINDS``."""
-        return tuple(one for kind in STEP_KINDS for one in self[kind])
+        """Effects of a step, in ``step_order``."""
+        return tuple(self._all[index] for index in self.step_order)
 
     def places(self, num_rotors: int) -> list[Place]:
-        """Return where parameters and memory of each of ``forces`` stand, for a number of rotors R."""
+        """Return the places of parameters and memory of each of ``forces``, for a number of rotors R."""
         found, params, memory = [], 0, 0
         for effect, _ in self.forces:
             width, remembered = len(effect.parameters), len(effect.fresh_memory(num_rotors))
@@ -90,18 +70,36 @@ class EffectsByKind:
         """Names of the effects with memory of their own."""
         return tuple(effect.name for effect, _ in self.forces if effect.remembers)
 
+    @property
+    def warp_fields(self) -> set[str]:
+        """Fields of the vehicle that the Warp twins of a step read on request."""
+        hooks = (hook for effect, _ in self.forces for hook in type(effect).__mro__)
+        return {name for hook in hooks for name in vars(hook).get("warp_fields", ())}
+
     def plus(self, effect: Effect, params: Tensor) -> "EffectsByKind":
-        """Return these and one more."""
+        """Return these effects and one more."""
         return EffectsByKind((*self._all, (effect, params)))
 
     def without(self, *kinds: type[Effect]) -> "EffectsByKind":
-        """Return these but the ones of some kinds."""
-        return EffectsByKind(one for one in self._all if one[0].kind not in kinds)
+        """Return all effects except those of some kinds."""
+        return EffectsByKind(one for one in self._all if not isinstance(one[0], kinds))
 
     def where(self, chosen: Callable[[Effect], bool]) -> "EffectsByKind":
-        """Return those that are chosen."""
+        """Return the effects for which ``chosen`` is true."""
         return EffectsByKind(one for one in self._all if chosen(one[0]))
 
     def with_params(self, change: Callable[[Effect, Tensor], Tensor]) -> "EffectsByKind":
-        """Return them with ``change(effect, params)`` in place of each one's parameters."""
+        """Return the effects with ``change(effect, params)`` as their parameters."""
         return EffectsByKind((effect, change(effect, params)) for effect, params in self._all)
+
+    def with_memory(self, numbers: Iterable[Tensor]) -> "EffectsByKind":
+        """Return the effects with remembered numbers (E, M), in ``step_order``, behind their parameters.
+
+        Memory that ``moves_with_body`` is part of the state, so these effects keep their parameters alone.
+        """
+        found = list(self._all)
+        for index, own in zip(self.step_order, numbers, strict=True):
+            effect, params = found[index]
+            if not effect.moves_with_body:
+                found[index] = effect, torch.cat((params, own), dim=-1)
+        return EffectsByKind(found)

@@ -15,7 +15,10 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.warp_functions import reciprocal
-from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, Parameter, RotorEffect
+from aerial_gym.physics.effects.base import ANY_ROTOR
+from aerial_gym.physics.effects.condition import Condition
+from aerial_gym.physics.effects.kinds.rotor import RotorEffect
+from aerial_gym.physics.effects.parameter import Parameter
 
 CLOSEST = wp.constant(0.5)
 """Least distance of a hub that makes a difference, in radii."""

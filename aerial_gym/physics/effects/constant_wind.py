@@ -7,7 +7,8 @@ Source: Derived: Galilean change of frame.
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.physics.effects.base import Parameter, WindEffect
+from aerial_gym.physics.effects.kinds.wind import WindEffect
+from aerial_gym.physics.effects.parameter import Parameter
 
 
 class ConstantWind(WindEffect):

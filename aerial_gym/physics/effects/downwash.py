@@ -13,7 +13,10 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.warp_functions import rotate_inverse
-from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, Parameter, WrenchEffect
+from aerial_gym.physics.effects.base import ANY_ROTOR
+from aerial_gym.physics.effects.condition import Condition
+from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
+from aerial_gym.physics.effects.parameter import Parameter
 
 
 class Downwash(WrenchEffect):

@@ -2,7 +2,8 @@
 
 from torch import Tensor
 
-from aerial_gym.physics.effects.base import Moment, Parameter
+from aerial_gym.physics.effects.base import Moment
+from aerial_gym.physics.effects.parameter import Parameter
 
 LATEST = 1e5
 """Bound of a moment [s]."""

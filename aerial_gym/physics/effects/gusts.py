@@ -13,7 +13,9 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.random import counted_normal
-from aerial_gym.physics.effects.base import Moment, Parameter, WindEffect
+from aerial_gym.physics.effects.base import Moment
+from aerial_gym.physics.effects.kinds.wind import WindEffect
+from aerial_gym.physics.effects.parameter import Parameter
 
 SMALL = wp.constant(0.01)
 """Below it ``1 - exp(-x)`` is its series, exact in float32 (next term 4e-10 of it)."""

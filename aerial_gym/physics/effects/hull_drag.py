@@ -10,7 +10,10 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.math.warp_functions import vector_of
-from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, LinearWrenchEffect, Parameter
+from aerial_gym.physics.effects.base import ANY_ROTOR
+from aerial_gym.physics.effects.condition import Condition
+from aerial_gym.physics.effects.kinds.wrench import LinearWrenchEffect
+from aerial_gym.physics.effects.parameter import Parameter
 
 _MEANING = {
     "l": ("N s/m", 1.0, "force per speed along body"),

@@ -6,7 +6,8 @@ Source: Titterton, Weston (2004), Strapdown Inertial Navigation Technology, sect
 
 from torch import Tensor
 
-from aerial_gym.physics.effects.base import ImuEffect, Parameter
+from aerial_gym.physics.effects.kinds.sensor import ImuEffect
+from aerial_gym.physics.effects.parameter import Parameter
 
 
 class ImuBias(ImuEffect):

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from aerial_gym.physics.effects.base import ImuEffect
+from aerial_gym.physics.effects.kinds.sensor import ImuEffect
 
 WIDTH = 24
 """Numbers of an environment: offset and columns of the matrix, 4 x 3, of the specific force, then of the angular velocity."""

@@ -7,7 +7,8 @@ Source: Titterton, Weston (2004), Strapdown Inertial Navigation Technology, sect
 from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate_inverse
-from aerial_gym.physics.effects.base import ImuEffect, Parameter
+from aerial_gym.physics.effects.kinds.sensor import ImuEffect
+from aerial_gym.physics.effects.parameter import Parameter
 
 
 class ImuMisalignment(ImuEffect):

@@ -17,7 +17,9 @@ from torch import Tensor
 from aerial_gym.config.learned_residual import NUM_INPUTS, NUM_OUTPUTS, LayerCfg, LearnedResidualCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.rows import times
-from aerial_gym.physics.effects.base import Condition, Parameter, WrenchEffect
+from aerial_gym.physics.effects.condition import Condition
+from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
+from aerial_gym.physics.effects.parameter import Parameter
 
 Layer = tuple[Tensor, Tensor]
 """Weights (out, in) and bias (out,)."""

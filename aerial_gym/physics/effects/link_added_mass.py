@@ -24,8 +24,9 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.math.warp_functions import vector_of
-from aerial_gym.physics.effects.base import Parameter
-from aerial_gym.physics.effects.on_links import ByLink, LinkFluidEffect
+from aerial_gym.physics.effects.kinds.link import LinkFluidEffect
+from aerial_gym.physics.effects.on_links import ByLink
+from aerial_gym.physics.effects.parameter import Parameter
 
 _MASSES, _INERTIAS = (tuple(f"{letter}{axis}" for axis in "xyz") for letter in "mj")
 

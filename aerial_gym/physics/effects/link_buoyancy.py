@@ -15,9 +15,10 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.math.warp_functions import vector_of
-from aerial_gym.physics.effects.base import Parameter
 from aerial_gym.physics.effects.buoyancy import buoyant, warp_buoyant
-from aerial_gym.physics.effects.on_links import ByLink, LinkWrenchEffect
+from aerial_gym.physics.effects.kinds.link import LinkWrenchEffect
+from aerial_gym.physics.effects.on_links import ByLink
+from aerial_gym.physics.effects.parameter import Parameter
 
 
 class LinkBuoyancy(ByLink, LinkWrenchEffect):

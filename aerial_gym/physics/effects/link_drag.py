@@ -15,8 +15,9 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.math.warp_functions import vector_of
-from aerial_gym.physics.effects.base import Parameter
-from aerial_gym.physics.effects.on_links import ByLink, LinkEffect
+from aerial_gym.physics.effects.kinds.link import LinkEffect
+from aerial_gym.physics.effects.on_links import ByLink
+from aerial_gym.physics.effects.parameter import Parameter
 
 _LETTERS = {
     "l": ("N s/m", 0.01, "force per speed along"),

@@ -10,8 +10,10 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, VehicleEffect
+from aerial_gym.physics.effects.base import ANY_ROTOR
+from aerial_gym.physics.effects.kinds.vehicle import VehicleEffect
 from aerial_gym.physics.effects.one_rotor import ROTOR, chosen_rotor
+from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.vehicle import Vehicle
 
 

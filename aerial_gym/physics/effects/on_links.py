@@ -1,10 +1,8 @@
-"""Effects on each link of a vehicle that bends: their kinds, and parameters of all links or of one.
+"""Parameters of effects on links: one value for all links with mass, or one for a named link.
 
-Axes of a link are those of the body in the reference pose. Links without mass feel nothing.
-Letters: E environments, L links, the base first, P parameters.
+Letters: E environments, L links (the base first), P parameters.
 """
 
-from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar, Self, cast
@@ -16,106 +14,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.warp_functions import vector_of
-from aerial_gym.physics.effects.base import ANY_ROTOR, Effect, Parameter
-
-
-class LinkEffect(Effect):
-    """A damping of each link of a vehicle that bends, by its motion through the air. A vehicle has one at most.
-
-    The force on a link at its centre of mass is ``-D_i u_i`` per axis of the link, u its velocity through the air, and the
-    torque likewise by its angular velocity. The engine takes u at the end of a step and D at its start, so that no D is too
-    large for a step.
-    """
-
-    acts_on = "wrench"
-    twin = "warp_damping"
-    rotors = ANY_ROTOR
-    on_rigid = False
-
-    @abstractmethod
-    def damping(self, velocity: Tensor, params: Tensor) -> Tensor:
-        """Return D of every link [N s/m, N m s/rad], at least 0, (E, L, 6).
-
-        Args:
-            velocity: Of the centres of mass of the links through the air [m/s] and their angular velocity [rad/s], axes of
-                each link, (E, L, 6); the base is the first link.
-            params: (E, P).
-        """
-
-    def warp_damping(self, link: int) -> wp.Function | None:
-        """Return the twin of ``damping`` for one link, or None: the effect does nothing to it.
-
-        Args:
-            link: Its number; 0 is the base.
-
-        Returns:
-            A ``wp.func`` (velocity: wp.spatial_vector, params: vector of P) -> D, ``wp.spatial_vector``.
-        """
-        del link
-        return None
-
-
-class LinkWrenchEffect(Effect):
-    """A force and torque on each link of a vehicle that bends, by how it is turned."""
-
-    acts_on = "wrench"
-    twin = "warp_wrench"
-    rotors = ANY_ROTOR
-    on_rigid = False
-
-    @abstractmethod
-    def wrench(self, up: Tensor, params: Tensor) -> Tensor:
-        """Return force [N] and torque about the centre of mass [N m] of every link, axes of the link, (E, L, 6).
-
-        Args:
-            up: World z, axes of each link, (E, L, 3).
-            params: (E, P).
-        """
-
-    def warp_wrench(self, link: int) -> wp.Function | None:
-        """Return the twin of ``wrench`` for one link, or None: the effect does nothing to it.
-
-        Args:
-            link: Its number; 0 is the base.
-
-        Returns:
-            A ``wp.func`` (up: wp.vec3, params: vector of P) -> force and torque, ``wp.spatial_vector``.
-        """
-        del link
-        return None
-
-
-class LinkFluidEffect(Effect):
-    """Fluid that each link of a vehicle that bends sets in motion with it: as if it had another mass along each axis.
-
-    It stands beside the mass of the link in the equations of motion, and weighs nothing. A vehicle has one at most.
-    """
-
-    acts_on = "inertia"
-    twin = "warp_added"
-    rotors = ANY_ROTOR
-    on_rigid = False
-
-    @abstractmethod
-    def added(self, num_links: int, params: Tensor) -> Tensor:
-        """Return added masses [kg] and inertias [kg m²] of every link at its centre of mass, axes of the link, (E, L, 6).
-
-        Args:
-            num_links: L.
-            params: (E, P).
-        """
-
-    def warp_added(self, link: int) -> wp.Function | None:
-        """Return the twin of ``added`` for one link, or None: the effect does nothing to it.
-
-        Args:
-            link: Its number; 0 is the base.
-
-        Returns:
-            A ``wp.func`` (params: vector of P) -> masses and inertias, ``wp.spatial_vector``.
-        """
-        del link
-        return None
+from aerial_gym.physics.effects.parameter import Parameter
 
 
 class ByLink:

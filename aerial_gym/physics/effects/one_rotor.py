@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.base import Parameter
+from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.vehicle import Vehicle
 
 MOST_ROTORS = 64

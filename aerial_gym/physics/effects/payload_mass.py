@@ -9,7 +9,9 @@ from dataclasses import replace
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, VehicleEffect
+from aerial_gym.physics.effects.base import ANY_ROTOR
+from aerial_gym.physics.effects.kinds.vehicle import VehicleEffect
+from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.vehicle import Vehicle
 
 LEAST_SHARE = 0.7

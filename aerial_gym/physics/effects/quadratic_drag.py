@@ -9,7 +9,10 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, LinearWrenchEffect, Parameter
+from aerial_gym.physics.effects.base import ANY_ROTOR
+from aerial_gym.physics.effects.condition import Condition
+from aerial_gym.physics.effects.kinds.wrench import LinearWrenchEffect
+from aerial_gym.physics.effects.parameter import Parameter
 
 
 class QuadraticDrag(LinearWrenchEffect):

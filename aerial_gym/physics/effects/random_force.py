@@ -15,7 +15,10 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.draws import draw_vec3
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.math.random import counted_uniforms
-from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, Moment, Parameter, WrenchEffect
+from aerial_gym.physics.effects.base import ANY_ROTOR, Moment
+from aerial_gym.physics.effects.condition import Condition
+from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
+from aerial_gym.physics.effects.parameter import Parameter
 
 QUANTITY = wp.constant(1)
 """Tells its draws from those of ``gusts`` in the same substep."""

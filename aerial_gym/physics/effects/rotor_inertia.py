@@ -10,7 +10,9 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.math.short import sum_slices
-from aerial_gym.physics.effects.base import Condition, LinearWrenchEffect, Parameter
+from aerial_gym.physics.effects.condition import Condition
+from aerial_gym.physics.effects.kinds.wrench import LinearWrenchEffect
+from aerial_gym.physics.effects.parameter import Parameter
 
 
 class RotorInertia(LinearWrenchEffect):

@@ -7,7 +7,8 @@ Source: Derived: a tachometer counts k times as many events per turn as assumed.
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.base import Parameter, RotorSensorEffect
+from aerial_gym.physics.effects.kinds.sensor import RotorSensorEffect
+from aerial_gym.physics.effects.parameter import Parameter
 
 
 class RotorSpeedScale(RotorSensorEffect):

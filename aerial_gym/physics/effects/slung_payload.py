@@ -24,7 +24,8 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.short import dot
-from aerial_gym.physics.effects.base import LoadEffect, Parameter, Suspension
+from aerial_gym.physics.effects.kinds.load import LoadEffect, Suspension
+from aerial_gym.physics.effects.parameter import Parameter
 
 FITTED_LENGTHS = (0.3, 0.5, 0.8, 1.3, 2.1)
 """Links [m] from which fits are tried; frequencies a factor of 1.3 apart."""

@@ -11,8 +11,9 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.base import ANY_ROTOR, CommandEffect, Moment
+from aerial_gym.physics.effects.base import ANY_ROTOR, Moment
 from aerial_gym.physics.effects.failure import NEVER, TIME, middle_of
+from aerial_gym.physics.effects.kinds.command import CommandEffect
 from aerial_gym.physics.effects.one_rotor import ROTOR, chosen_rotor
 from aerial_gym.physics.vehicle import Vehicle
 

@@ -7,7 +7,9 @@ Source: Leishman (2006), Principles of Helicopter Aerodynamics, section 2.2.5: t
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, VehicleEffect
+from aerial_gym.physics.effects.base import ANY_ROTOR
+from aerial_gym.physics.effects.kinds.vehicle import VehicleEffect
+from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.vehicle import Vehicle
 
 

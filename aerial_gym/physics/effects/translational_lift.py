@@ -9,7 +9,9 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.math.short import dot
-from aerial_gym.physics.effects.base import Condition, Parameter, RotorEffect
+from aerial_gym.physics.effects.condition import Condition
+from aerial_gym.physics.effects.kinds.rotor import RotorEffect
+from aerial_gym.physics.effects.parameter import Parameter
 
 
 class TranslationalLift(RotorEffect):

@@ -25,8 +25,11 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.short import dot
 from aerial_gym.math.warp_functions import inverse_root, reciprocal
-from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, Parameter, RotorEffect
+from aerial_gym.physics.effects.base import ANY_ROTOR
+from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, axial_induced, axial_induced_warp
+from aerial_gym.physics.effects.kinds.rotor import RotorEffect
+from aerial_gym.physics.effects.parameter import Parameter
 
 LEAST_SQUARE = wp.constant(1e-6)
 """Added to the square of the induced velocity [m²/s²]: a rotor without thrust has no wake, and a slope there."""

@@ -7,8 +7,10 @@ Source: Leishman (2006), Principles of Helicopter Aerodynamics, section 2.2.5: b
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, VehicleEffect
+from aerial_gym.physics.effects.base import ANY_ROTOR
+from aerial_gym.physics.effects.kinds.vehicle import VehicleEffect
 from aerial_gym.physics.effects.one_rotor import ROTOR, chosen_rotor
+from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.vehicle import Vehicle
 
 

@@ -9,7 +9,8 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.base import Parameter, WindEffect
+from aerial_gym.physics.effects.kinds.wind import WindEffect
+from aerial_gym.physics.effects.parameter import Parameter
 
 
 class WindShear(WindEffect):

@@ -3,15 +3,14 @@
 Twin of ``physics.memory``. Letters: E environments, R rotors, M numbers of all effects, S remembered commands.
 """
 
-from itertools import chain
 from typing import Any
 
 import warp as wp
 
 from aerial_gym.math.draws import RandomArrays, stream_of, substream
 from aerial_gym.math.random import Purpose
-from aerial_gym.physics.effects import CommandEffect, DelayEffect
-from aerial_gym.physics.fused.packing import pickers, types_of, values_type
+from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect
+from aerial_gym.physics.fused.packing import picks_of, types_of, values_type
 from aerial_gym.physics.fused.types import RotorTypes
 from aerial_gym.physics.model import Model
 
@@ -102,7 +101,7 @@ def make_begin(model: Model) -> wp.Function:
 
 def _make_remember(model: Model) -> wp.Function:
     """Return all ``Effect.remember`` as one function, chained like ``dynamics._sum_of``."""
-    types, values, picks = types_of(model), values_type(model), pickers(model)
+    types, values = types_of(model), values_type(model)
     moment, vehicle_type = types.moment, types.vehicle
 
     @wp.func
@@ -118,7 +117,7 @@ def _make_remember(model: Model) -> wp.Function:
         return remember
 
     total = nothing
-    for (effect, _), pick in zip(model.effects.forces, chain.from_iterable(picks.values()), strict=True):
+    for effect, pick in picks_of(model, Effect):
         twin = effect.warp_remember(vehicle_type, moment)
         if twin is not None:
             total = after(total, twin, pick.get, pick.put)
@@ -127,7 +126,7 @@ def _make_remember(model: Model) -> wp.Function:
 
 def _make_lead(model: Model) -> wp.Function:
     """Return all ``CommandEffect.command`` as one function."""
-    types, values, picks = types_of(model), values_type(model), pickers(model)
+    types, values = types_of(model), values_type(model)
     vehicle_type, vector = types.vehicle, types.vector
 
     @wp.func
@@ -142,7 +141,7 @@ def _make_lead(model: Model) -> wp.Function:
         return lead
 
     total = straight
-    for (effect, _), pick in zip(model.effects[CommandEffect], picks[CommandEffect], strict=True):
+    for effect, pick in picks_of(model, CommandEffect):
         total = after(total, effect.warp_command(vehicle_type, vector), pick.get)
     return total
 
@@ -150,12 +149,8 @@ def _make_lead(model: Model) -> wp.Function:
 def _make_delayed(model: Model, lead: wp.Function) -> wp.Function:
     """Return a function to the commands that arrive during the substep."""
     types, values, num_rotors = types_of(model), values_type(model), model.vehicle.num_rotors
-    effect = model.effects[DelayEffect][0][0]
-    delay_of, pick, arrive = (
-        effect.warp_delay(),
-        pickers(model)[DelayEffect][0].get,
-        _make_arrive(types, num_rotors, lead, values),
-    )
+    ((effect, access),) = picks_of(model, DelayEffect)
+    delay_of, pick, arrive = effect.warp_delay(), access.get, _make_arrive(types, num_rotors, lead, values)
     moment, vehicle_type, succession = types.moment, types.vehicle, types.succession
 
     @wp.func

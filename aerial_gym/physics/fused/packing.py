@@ -10,27 +10,21 @@ Letters: E environments, R rotors, N packed numbers, P parameters and M remember
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 import warp as wp
 from torch import Tensor
 
 from aerial_gym.math.warp_functions import vector_of
-from aerial_gym.physics.effects import (
-    STEP_KINDS,
-    CommandEffect,
-    Effect,
-    FluidEffect,
-    LoadEffect,
-    RotorEffect,
-    WrenchEffect,
-)
+from aerial_gym.physics.effects import Effect
 from aerial_gym.physics.fused.law import FusedLaw, NoGains
 from aerial_gym.physics.fused.types import RotorTypes, rotor_types
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotor_lag import FASTEST, SHORTEST
 from aerial_gym.physics.vehicle import is_shared
+
+AnyKind = TypeVar("AnyKind", bound=Effect)
 
 
 @dataclass(frozen=True)
@@ -96,18 +90,18 @@ def _vehicle_fields(model: Model, stage: float) -> list[Field]:
             Field("slew_down", (v.slew_rate_down,), lambda rate: rate.clamp_max(FASTEST)),
             Field("dead_band", (v.dead_band,), _same),
         ]
-    if model.effects[CommandEffect]:
+    read = model.effects.warp_fields
+    if "battery" in read:
         fields.append(Field("battery", (v.battery,), _same))
     if isinstance(model.ground_height, Tensor):
         fields.append(Field("ground_height", (model.ground_height,), _same))
-    if model.effects[WrenchEffect] or model.effects[FluidEffect]:
+    if "other_position" in read:
         fields.append(Field("other_position", (model.other_position,), _same))
-    hubs = any(model.effects[kind] for kind in (RotorEffect, WrenchEffect, FluidEffect))
-    if hubs or model.articulation is not None:
+    if "rotor_lever" in read or model.articulation is not None:
         fields.append(
             Field("rotor_lever", (v.rotor_position, v.com), lambda position, com: position - com.unsqueeze(1))
         )
-    if hubs:
+    if "rotor_radius" in read:
         fields.append(Field("rotor_radius", (v.rotor_radius,), _same))
     return fields
 
@@ -342,15 +336,16 @@ def values_type(model: Model) -> Any:
     return vector_of(max(sum(num_values(model)), 1))
 
 
-def pickers(model: Model) -> dict[type[Effect], list[Pick]]:
-    """Return access to each effect of each kind. A load keeps its memory with the motion, and is given parameters alone."""
+def picks_of(model: Model, kind: type[AnyKind]) -> list[tuple[AnyKind, Pick]]:
+    """Return the effects of a kind, each with access to its values; without memory that ``moves_with_body``."""
     values, (num_params, _) = values_type(model), num_values(model)
-    found: dict[type[Effect], list[Pick]] = {kind: [] for kind in STEP_KINDS}
+    found = []
     for place in model.effects.places(model.vehicle.num_rotors):
-        kind, params, memory = place.effect.kind, place.params, place.memory
-        shown = 0 if kind is LoadEffect else memory.stop - memory.start
-        pick = _pick(values, params.start, params.stop - params.start, num_params + memory.start, shown)
-        found[kind].append(pick)
+        effect, params, memory = place.effect, place.params, place.memory
+        if isinstance(effect, kind):
+            shown = 0 if effect.moves_with_body else memory.stop - memory.start
+            pick = _pick(values, params.start, params.stop - params.start, num_params + memory.start, shown)
+            found.append((effect, pick))
     return found
 
 

@@ -12,7 +12,6 @@ from typing import Any
 
 import warp as wp
 
-from aerial_gym.math.warp_functions import vector_of
 from aerial_gym.physics.fused.law import FusedLaw, NoGains
 from aerial_gym.physics.fused.packing import COMMAND_COLUMNS
 from aerial_gym.physics.fused.types import RotorTypes

@@ -7,7 +7,6 @@ import numpy as np
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
-from aerial_gym.physics.effects import RotorEffect, WrenchEffect
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.learned import judge_on_test, train_residual
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import FARTHEST_DEVIATION
@@ -220,9 +219,7 @@ def strained_notes(selected: Selected, unexplained: Unexplained, named: Evaluati
 def absent_tolerances(declared: Declared, params: ModelParams) -> set[str]:
     """Return the tolerances of what the vehicle, or its logs, do not have: a deviation there is no finding about it."""
     flights = declared.train.flights
-    soft = any(
-        effect.kind in (RotorEffect, WrenchEffect) and effect.remembers for effect in map(EFFECTS.get, params.effects)
-    )
+    soft = any(effect.replayed and effect.remembers for effect in map(EFFECTS.get, params.effects))
     has = {
         "nominal_voltage": declared.stated.battery is not None,
         "joint_rest": soft,

@@ -19,7 +19,7 @@ import torch
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
 from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
-from aerial_gym.physics.effects import LoadEffect, RotorEffect, VehicleEffect, WindEffect, WrenchEffect
+from aerial_gym.physics.effects import LoadEffect, VehicleEffect
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel
@@ -30,9 +30,6 @@ from aerial_gym.sim2real.predict.rows.dataset import Dataset, thinned
 from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate, estimate_rotors
 from aerial_gym.sim2real.predict.rows.together import Columns, Together
 from aerial_gym.sim2real.predict.tolerances import Tolerances, deviated, sensed
-
-ADDED = (RotorEffect, WrenchEffect, WindEffect)
-"""Effects of these kinds add thrust, force or wind; at neutral parameters a model is the same without them."""
 
 KEPT_BYTES = 6e7
 """Predictions are kept as long as they would take no more [bytes] if they had nothing in common: a fit begins where a first
@@ -127,7 +124,7 @@ class Predictor:
 
     def links(self, params: ModelParams) -> list[Link] | None:
         """Return how the load of a model swings along each flight, begun as its log says; None for a model without one."""
-        if not any(EFFECTS.get(name).kind is LoadEffect for name in params.effects):
+        if not any(isinstance(EFFECTS.get(name), LoadEffect) for name in params.effects):
             return None
         return [link for part in self._parts for link in part.links(params)]
 
@@ -136,8 +133,9 @@ class Predictor:
 
         An effect on the vehicle that changes nothing, or the same as a deviation or another effect, is no other model.
         """
-        effects = {name: EFFECTS.get(name).kind for name in params.effects}
-        on_vehicle = {name: values for name, values in params.effects.items() if effects[name] is VehicleEffect}
+        on_vehicle = {
+            name: values for name, values in params.effects.items() if isinstance(EFFECTS.get(name), VehicleEffect)
+        }
         others = {name: values for name, values in params.effects.items() if name not in on_vehicle}
         off = deviated(self._declared, self.tolerances, params.deviation)
         vehicle = build_model(off.vehicle, effects_at(ModelParams(effects=on_vehicle), 1)).vehicle
@@ -148,4 +146,4 @@ class Predictor:
 
     def _adds_nothing(self, name: str, values: Array) -> bool:
         effect = EFFECTS.get(name)
-        return effect.kind in ADDED and np.array_equal(values, effect.neutral(self.robot))
+        return effect.additive and np.array_equal(values, effect.neutral(self.robot))

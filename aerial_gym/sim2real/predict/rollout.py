@@ -24,7 +24,7 @@ from aerial_gym.physics import (
     build_model,
     vehicle_from_config,
 )
-from aerial_gym.physics.effects import CommandEffect, DelayEffect, FluidEffect, LoadEffect, RotorSensorEffect
+from aerial_gym.physics.effects import CommandEffect, DelayEffect, LoadEffect, RotorSensorEffect
 from aerial_gym.physics.memory import Memory, make_memory, place_memory
 from aerial_gym.physics.model import EffectParams
 from aerial_gym.physics.rotor_lag import Ramp
@@ -157,7 +157,7 @@ def _fit_together(models: Sequence[ModelParams], flights: Sequence[Flight]) -> b
     return (
         all(one.deviation is None and one.learned is None for one in models)
         and all(flight.rotor_speed is not None for flight in flights)
-        and not any(effect.remembers or effect.kind in (LoadEffect, FluidEffect) for effect in effects)
+        and not any(effect.remembers or effect.single for effect in effects)
     )
 
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from aerial_gym.errors import DataError
 from aerial_gym.physics import EFFECTS
-from aerial_gym.physics.effects import LoadEffect, WindEffect
+from aerial_gym.physics.effects import WindEffect
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight, names_of
 
@@ -35,8 +35,7 @@ class Heights(TypedDict):
 
 def lacks_of_scene(name: str, flights: Sequence[Flight]) -> str:
     """Return what of its scene the flights lack for an effect; empty if nothing."""
-    effect = EFFECTS.get(name)
-    return _without((*effect.needs, *(("lin_vel",) if effect.kind is LoadEffect else ())), flights)
+    return _without(EFFECTS.get(name).needs, flights)
 
 
 def lacks_of_air(name: str, flights: Sequence[Flight]) -> str:
@@ -46,7 +45,7 @@ def lacks_of_air(name: str, flights: Sequence[Flight]) -> str:
     call air what is anything else.
     """
     effect = EFFECTS.get(name)
-    return _without(("lin_vel",) if effect.kind is WindEffect or "velocity" in effect.follows else (), flights)
+    return _without(("lin_vel",) if isinstance(effect, WindEffect) or "velocity" in effect.follows else (), flights)
 
 
 def _without(needs: Sequence[str], flights: Sequence[Flight]) -> str:

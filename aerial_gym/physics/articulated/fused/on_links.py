@@ -8,11 +8,11 @@ from typing import Any
 
 import warp as wp
 
+from aerial_gym.math.warp_functions import world_up
 from aerial_gym.physics.articulated.fused.inertia import Inertia, beside
 from aerial_gym.physics.articulated.fused.recursion import JointTypes
 from aerial_gym.physics.effects import LinkEffect, LinkFluidEffect, LinkWrenchEffect
-from aerial_gym.math.warp_functions import world_up
-from aerial_gym.physics.fused.packing import pickers
+from aerial_gym.physics.fused.packing import picks_of
 from aerial_gym.physics.model import Model
 
 
@@ -60,11 +60,11 @@ def make_damping(model: Model, joints: JointTypes, link: int) -> wp.Function | N
     ``a`` is the spatial acceleration of the centre of mass that the recursion finds, weight in it: what is not of ``a`` is a
     force.
     """
-    twins = [effect.warp_damping(link) for effect, _ in model.effects[LinkEffect]]
-    if twins in ([], [None]):
+    twins = [(effect.warp_damping(link), pick.get) for effect, pick in picks_of(model, LinkEffect)]
+    twin, get = twins[0] if twins else (None, None)
+    if twin is None:
         return None
-    ((twin,), (pick,), held_type) = twins, pickers(model)[LinkEffect], joints.held
-    get = pick.get
+    held_type = joints.held
 
     @wp.func
     def link_damping(
@@ -92,11 +92,11 @@ def make_fluid(model: Model, joints: JointTypes, link: int) -> wp.Function | Non
     Beside the mass stand ``R A R^T`` and ``R B R^T``. With the spatial acceleration ``a`` of the centre of mass that the
     recursion finds, weight in it, the fluid takes ``A (a - weight + w x wind) + w x (A u)``: what is not of ``a`` is a force.
     """
-    twins = [effect.warp_added(link) for effect, _ in model.effects[LinkFluidEffect]]
-    if twins in ([], [None]):
+    twins = [(effect.warp_added(link), pick.get) for effect, pick in picks_of(model, LinkFluidEffect)]
+    twin, get = twins[0] if twins else (None, None)
+    if twin is None:
         return None
-    ((twin,), (pick,), held_type) = twins, pickers(model)[LinkFluidEffect], joints.held
-    get = pick.get
+    held_type = joints.held
 
     @wp.func
     def link_fluid(
@@ -121,8 +121,7 @@ def make_fluid(model: Model, joints: JointTypes, link: int) -> wp.Function | Non
 
 def make_wrenches(model: Model, joints: JointTypes, link: int) -> list[wp.Function]:
     """Return what each such effect does to a link, as ``on_links.make_on_links`` has it."""
-    each = zip(model.effects[LinkWrenchEffect], pickers(model)[LinkWrenchEffect], strict=True)
-    twins = [(effect.warp_wrench(link), pick.get) for (effect, _), pick in each]
+    twins = [(effect.warp_wrench(link), pick.get) for effect, pick in picks_of(model, LinkWrenchEffect)]
     return [_make_wrench(joints, twin, get) for twin, get in twins if twin is not None]
 
 

@@ -17,7 +17,7 @@ from aerial_gym.sim2real.predict.scene import lacks_of_air, lacks_of_scene
 def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Flight] = ()) -> str:
     """Return what robot file or logs lack for an effect; empty if nothing."""
     effect, flights = EFFECTS.get(name), [*train, *test]
-    if effect.kind is ImuEffect and not any(flight.accelerometer or flight.gyro for flight in train):
+    if isinstance(effect, ImuEffect) and not any(flight.accelerometer or flight.gyro for flight in train):
         return "the logs hold no inertial sensor: forces are derived from the velocity"
     if effect.told_by_torques and not all(flight.gyro for flight in flights):
         return (

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.physics.answers import Answers
-from aerial_gym.physics.effects import Effect, RotorEffect, RotorSensorEffect, WrenchEffect
+from aerial_gym.physics.effects import Effect, RotorSensorEffect
 from aerial_gym.physics.effects.by_kind import EffectsByKind
 from aerial_gym.physics.effects.track import Track
 from aerial_gym.physics.model import Model
@@ -20,15 +20,13 @@ from aerial_gym.sim2real.predict.rows.batches import one_row
 
 
 def remembering(effects: EffectsByKind) -> Iterator[tuple[Effect, Tensor]]:
-    """Yield the effects on rotors and body that remember, with their parameters.
+    """Yield the effects whose memory ``Effect.replay`` computes, with their parameters.
 
-    Others are not replayed here: what commands lead to is ``RotorReplay``'s, a load ``LoadReplay``'s, and random wind predicts
-    no row.
+    ``RotorReplay`` computes the memory of effects on commands, ``LoadReplay`` that of a load. Random wind predicts no row.
     """
-    for kind in (RotorEffect, WrenchEffect):
-        for effect, params in effects[kind]:
-            if effect.remembers:
-                yield effect, params
+    for effect, params in effects.forces:
+        if effect.replayed and effect.remembers:
+            yield effect, params
 
 
 def track_of(flight: Flight, vehicle: Vehicle, rotor_speed: Tensor, step: float, *, settled: float = 1.0) -> Track:

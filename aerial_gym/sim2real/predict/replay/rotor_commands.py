@@ -74,7 +74,7 @@ def with_arriving_commands(off: Deviated, flights: Sequence[Flight], params: Mod
 
 def acts_on_commands(name: str) -> bool:
     """Return whether an effect changes what commands lead to."""
-    return EFFECTS.get(name).kind in (CommandEffect, DelayEffect)
+    return isinstance(EFFECTS.get(name), CommandEffect | DelayEffect)
 
 
 def _led_to(flight: Flight, model: Model, command: Tensor) -> Tensor:
@@ -116,7 +116,7 @@ def too_coarse(effect: Effect, robot: RobotCfg, flights: Sequence[Flight]) -> st
     lag fitted to the rows alone makes up for it.
     """
     rates = [flight.rate for flight in flights if flight.rotor_command is not None]
-    if effect.kind is not VehicleEffect or effect.acts_on != "actuation" or not rates:
+    if not isinstance(effect, VehicleEffect) or effect.acts_on != "actuation" or not rates:
         return ""
     row, lag = 1.0 / min(rates), min(declared_lag(robot))
     if row < lag:

@@ -86,7 +86,7 @@ def rotors_of(robot: RobotCfg) -> Model:
     """Return the declared vehicle with those of its effects that change how rotors follow commands."""
     kinds = (VehicleEffect, DelayEffect, CommandEffect, RotorSensorEffect)
     effects = {
-        name: params for name, params in declared_params(robot).effects.items() if EFFECTS.get(name).kind in kinds
+        name: params for name, params in declared_params(robot).effects.items() if isinstance(EFFECTS.get(name), kinds)
     }
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
     return build_model(vehicle, effects_at(ModelParams(effects=effects), 1))

@@ -16,7 +16,6 @@ from aerial_gym.physics import BodyState, Vehicle, accelerations, build_model, c
 from aerial_gym.physics.answers import Answers
 from aerial_gym.physics.effects import (
     Condition,
-    FluidEffect,
     ImuEffect,
     LoadEffect,
     RotorSensorEffect,
@@ -154,8 +153,7 @@ class Together:
         flown = self._flown(asked)
         remembered = self._remembered(flown, asked)
         model, hubs = with_memory(flown, remembered), None
-        # A fluid and a load depend on the sum of all that acts, a wind on where the centre of mass is.
-        if model.effects[LoadEffect] or model.effects[FluidEffect] or model.effects[WindEffect]:
+        if any(effect.needs_com for effect, _ in model.effects):
             condition = self._condition(flown, asked)
         else:
             condition = hubs = self._condition(flown, asked, at_origin=True)
@@ -188,7 +186,7 @@ class Together:
     def _hanging(self, model: Model, condition: Condition, remembered: dict[str, Tensor], asked: _Asked) -> _Hanging:
         """Return what a load of any parameters hangs on, the same as before where nothing else of the model has changed."""
         rows = (*asked.model.vehicle.rows().values(), asked.deviation)
-        others = [params for effect, params in asked.model.effects if effect.kind is not LoadEffect]
+        others = [params for effect, params in asked.model.effects if not isinstance(effect, LoadEffect)]
         names = [effect.name for effect, _ in asked.model.effects]
         key = (*names, *(numbers.numpy().tobytes() for numbers in (*rows, *others)))
         if self._hung is not None and self._hung.key == key and self._hung.speeds is asked.speeds:

@@ -74,7 +74,7 @@ def ride_of(robot: RobotCfg, log: FlightLog, *, bandwidth: float) -> Ride:
         DataError: If it has neither accelerometer nor velocity, no gyro or no rotors, or is too slow or too short.
         ConfigError: If links set a fluid in motion.
     """
-    if fluids := [name for name in robot.effects if EFFECTS.get(name).kind is LinkFluidEffect]:
+    if fluids := [name for name in robot.effects if isinstance(EFFECTS.get(name), LinkFluidEffect)]:
         raise ConfigError(
             f"identify joints: {fluids[0]} is left out where no angles of joints are logged. Log them (columns joint_NAME), or "
             "leave the effect out"

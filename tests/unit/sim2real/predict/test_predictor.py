@@ -736,7 +736,7 @@ def test_a_prediction_does_not_depend_on_those_before_it(tmp_path: Path) -> None
     def fresh() -> Predictor:
         return Predictor(robot, [found], bandwidth=BAND, channels=channels, tolerances=Tolerances())
 
-    names = [n for n in EFFECTS if not EFFECTS.get(n).random and EFFECTS.get(n).kind is not LoadEffect]
+    names = [n for n in EFFECTS if not EFFECTS.get(n).random and not isinstance(EFFECTS.get(n), LoadEffect)]
     names = [n for n in names if not lacks(n, robot, [found])]
     params = declared_params(robot)
     for name in names:

@@ -1,0 +1,61 @@
+"""Effects on rotor commands: a delay, and a change of the speeds that commands lead to."""
+
+from abc import abstractmethod
+from typing import ClassVar
+
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.physics.effects.base import Effect
+from aerial_gym.physics.vehicle import Vehicle
+
+
+class DelayEffect(Effect):
+    """A delay of the commands. The backend keeps the commands of the longest delay."""
+
+    acts_on = "actuation"
+    twin, order, single = "warp_delay", 8, "delay"
+    longest: ClassVar[float]
+    """Upper bound of the delay [s]."""
+
+    @property
+    def remembers(self) -> bool:
+        """Whether it has memory of its own: the delayed commands."""
+        return True
+
+    @abstractmethod
+    def delay(self, params: Tensor) -> Tensor:
+        """Return the delay [s], (E,), from parameters (E, P)."""
+
+    def warp_delay(self) -> wp.Function | None:
+        """Return the twin of ``delay``, a ``wp.func`` (params: vector of P) -> delay [s]; None: torch only."""
+        return None
+
+
+class CommandEffect(Effect):
+    """A change of the rotor speeds that commands lead to."""
+
+    acts_on = "actuation"
+    twin, order = "warp_command", 7
+    warp_fields = ("battery",)
+
+    @abstractmethod
+    def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:
+        """Return the speeds [rad/s], (E, R), that the rotors approach under commanded speeds (E, R)."""
+
+    @abstractmethod
+    def measured(self, voltage: Tensor) -> Tensor:
+        """Return its memory along a flight, (T, M), from the logged battery voltage [V], (T,)."""
+
+    def warp_command(self, vehicle: type, vector: type) -> wp.Function | None:
+        """Return the twin of ``command``; None: torch only.
+
+        Args:
+            vehicle: The ``wp.struct`` of the vehicle.
+            vector: Type of a number for each rotor.
+
+        Returns:
+            A ``wp.func`` (command: vector, vehicle, params: vector of P + M) -> speeds [rad/s], vector.
+        """
+        del vehicle, vector
+        return None

@@ -1,0 +1,55 @@
+"""Effects of a body that hangs on the vehicle."""
+
+from abc import abstractmethod
+from dataclasses import dataclass
+
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.physics.effects.base import ANY_ROTOR, Effect
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suspension:
+    """Motion of the body origin, on which a load hangs, without the load."""
+
+    acceleration: Tensor
+    """Acceleration of the origin, gravity included [m/s²], world, (E, 3)."""
+
+    mobility: Tensor
+    """Acceleration of the origin per force on it [1/kg], world, (E, 3, 3)."""
+
+    gravity: float
+    """Downward acceleration of free fall [m/s²]."""
+
+
+class LoadEffect(Effect):
+    """A body that hangs on the body origin by a massless rigid link.
+
+    Its memory is the direction of the link, a unit vector n away from the origin, and its rate n', world.
+    """
+
+    acts_on = "wrench"
+    twin, order, single = "warp_pull", 9, "load"
+    accelerates, needs_com, moves_with_body = True, True, True
+    needs = ("lin_vel",)
+    rotors = ANY_ROTOR
+    on_joints = False
+    memory = (0.0, 0.0, -1.0, 0.0, 0.0, 0.0)
+
+    @abstractmethod
+    def pull(self, suspension: Suspension, load: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the force of the load on the body origin [N], world, (E, 3), and n'' [1/s²], (E, 3), for ``load`` (E, 6)."""
+
+    def warp_pull(self, suspension: type) -> wp.Function | None:
+        """Return the twin of ``pull``; None: torch only.
+
+        Args:
+            suspension: The ``wp.struct`` with the fields of ``Suspension``, of single or of double precision.
+
+        Returns:
+            A ``wp.func`` (suspension, load: vector of 6, params: vector of P) -> (force, n''), vectors of 3, all of the
+            precision of ``suspension``.
+        """
+        del suspension
+        return None
