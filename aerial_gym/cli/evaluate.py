@@ -49,7 +49,7 @@ class EvaluateCmd:
         """Fly one episode from every start and print the figures; return the exit status."""
         from aerial_gym.export.pilot import STEPS, load_exported
         from aerial_gym.interop import one_thread
-        from aerial_gym.rl_training.evaluate import evaluate
+        from aerial_gym.rl_training.evaluation import evaluate
         from aerial_gym.rl_training.policies.load import check_fits, load_policy
         from aerial_gym.task import task_registry
 

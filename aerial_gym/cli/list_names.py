@@ -21,6 +21,7 @@ KINDS = {
     "effects": (Home("aerial_gym.physics:EFFECTS"),),
     "backends": (Home("aerial_gym.physics:BACKENDS"),),
     "tasks": (Home("aerial_gym.task:task_registry"),),
+    "trainers": (Home("aerial_gym.rl_training:TRAINERS"),),
 }
 """Registries by what they hold. None of them imports torch or Warp to say what it has."""
 
@@ -43,8 +44,8 @@ class ListCmd:
     """List what is registered, with one line each."""
 
     kind: str | None = None
-    """sims, environments, robots, controllers, sensors, imus, effects, backends or tasks; all of these if not given. Or what
-    tasks are made of: observation-terms, reward-terms, termination-terms, task-buffers, commands, actions."""
+    """sims, environments, robots, controllers, sensors, imus, effects, backends, tasks or trainers; all of these if not given.
+    Or parts of tasks: observation-terms, reward-terms, termination-terms, task-buffers, commands, actions."""
 
     json: bool = False
     """Print one JSON object instead of a table."""

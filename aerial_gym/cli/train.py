@@ -25,15 +25,14 @@ LIMITS = ("max_time_s", "max_env_steps")
 
 @dataclass(frozen=True, kw_only=True)
 class TrainCmd:
-    """Train a policy with a learner of this package, with rl-games or with Sample Factory."""
+    """Train a policy with a learner of this package or of another library."""
 
     task: str | None = None
     """Registered task, a task file (.yaml), a level of lsy_drone_racing (.toml), or
     module:Name or file.py:Name of a TaskCfg or a Task of your own; position_setpoint_task if not given."""
 
     trainer: str | None = None
-    """ppo (of this package; all in one graph on a GPU), apg (gradients through the simulation), distill (a student learns
-    what a trained policy does), rl_games or sample_factory; ppo if not given."""
+    """Registered trainer (aerial-gym list trainers); ppo if not given."""
 
     teacher: Path | None = None
     """Run folder, or one checkpoint in it, of the policy that distill hands on."""

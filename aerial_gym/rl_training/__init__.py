@@ -4,22 +4,24 @@ from typing import TYPE_CHECKING
 
 from aerial_gym.lazy import exports
 
-# Imported at once: a module that is imported later hides the function of its name.
-from aerial_gym.rl_training.evaluate import Evaluation, evaluate
-
 if TYPE_CHECKING:
+    from aerial_gym.rl_training.evaluation import Evaluation, evaluate
     from aerial_gym.rl_training.gymnasium import GymnasiumVectorEnv
     from aerial_gym.rl_training.policies.load import load_policy
     from aerial_gym.rl_training.policies.policy import Policy
     from aerial_gym.rl_training.settings import ApgCfg, PpoCfg, TrainingCfg, load_settings, settings_for
+    from aerial_gym.rl_training.trainers.catalog import TRAINERS
+    from aerial_gym.rl_training.trainers.trainer import Trainer
     from aerial_gym.rl_training.training import TrainingResult, train
 
 __all__ = [
+    "TRAINERS",
     "ApgCfg",
     "Evaluation",
     "GymnasiumVectorEnv",
     "Policy",
     "PpoCfg",
+    "Trainer",
     "TrainingCfg",
     "TrainingResult",
     "evaluate",

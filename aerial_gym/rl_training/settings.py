@@ -1,10 +1,12 @@
 """What a training needs to know: task, trainer, limits, and numbers of networks and learners.
 
-One set of names for all that learn by PPO; ``trainers/rl_games.py`` and ``trainers/sample_factory.py`` translate them.
+One set of names for all that learn by PPO; the modules of ``adapters`` translate them for other libraries.
 Letters: E environments.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from math import inf
 from pathlib import Path
 from typing import TypeVar
@@ -12,14 +14,10 @@ from typing import TypeVar
 from aerial_gym.config import CONFIG_DIR
 from aerial_gym.config.checks import MAX_MADE, require_count, require_positive
 from aerial_gym.config.extends import load_extended
-from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.config.loader import convert
+from aerial_gym.errors import ConfigError
 from aerial_gym.interop import resolve_device
-
-OWN = ("ppo", "apg", "distill")
-"""Trainers of this package."""
-
-TRAINERS = ("ppo", "apg", "distill", "rl_games", "sample_factory")
-"""Our own, and libraries that can train, by the name a user chooses."""
+from aerial_gym.rl_training.trainers.catalog import TRAINERS, trainers_with
 
 TRAINING_CONFIGS = CONFIG_DIR / "training"
 """Folder of the settings that come with the package: ``TRAINER_TASK.yaml``, the task without its ``_task``;
@@ -256,8 +254,8 @@ ALIKE = {
 }
 """Tasks that are trained with the settings of another one, as long as they have none of their own."""
 
-SECTIONS = {"apg": "apg", "distill": "distill"}
-"""Section of the settings that a trainer reads, where it is not ``ppo``."""
+SECTIONS = ("ppo", "apg", "distill", "numbers")
+"""Fields of ``TrainingCfg`` with the numbers of a learner; a training has one of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -271,7 +269,7 @@ class TrainingCfg:
     """Registered task."""
 
     trainer: str
-    """One of ``TRAINERS``."""
+    """Registered trainer."""
 
     num_envs: int
     """Environments side by side, in each process if there are several, >= 1."""
@@ -322,26 +320,27 @@ class TrainingCfg:
     distill: DistillCfg | None = None
     """Those of ``distill``."""
 
+    numbers: Mapping[str, object] | None = None
+    """Those of a trainer with settings of its own class, by the fields of that class."""
+
     source: str
     """Where the numbers come from."""
 
-    @property
+    @cached_property
     def learner(self) -> LearnerCfg:
         """Numbers of its trainer."""
-        found = getattr(self, SECTIONS.get(self.trainer, "ppo"))
-        assert isinstance(found, LearnerCfg)
-        return found
+        trainer = TRAINERS.get(self.trainer)
+        return convert(trainer.settings, getattr(self, trainer.section), trainer.section)
 
     def section(self, kind: type[Section]) -> Section:
-        """Return them as those of a kind, which they are."""
+        """Return the numbers of its trainer as settings of a class."""
         found = self.learner
         assert isinstance(found, kind)
         return found
 
     def __post_init__(self) -> None:
         require_positive(self, "checkpoint_every_s")
-        if self.trainer not in TRAINERS:
-            raise UnknownNameError(f"no trainer {self.trainer!r}. Known: {', '.join(TRAINERS)}")
+        trainer = TRAINERS.get(self.trainer)
         for name in ("max_time_s", "max_env_steps", "torch_threads"):
             value = getattr(self, name)
             if value is not None and not 0 < value < inf:
@@ -351,17 +350,24 @@ class TrainingCfg:
         require_count(self, "num_envs")
         if not 0 <= self.seed < 2**32:  # NumPy takes no larger one
             raise ConfigError(f"TrainingCfg.seed = {self.seed!r}: must be >= 0 and less than 2**32")
-        wanted = SECTIONS.get(self.trainer, "ppo")
-        if [name for name in ("ppo", *SECTIONS.values()) if getattr(self, name) is not None] != [wanted]:
-            raise ConfigError(f"TrainingCfg: trainer {self.trainer} needs its numbers under {wanted}, and no others")
-        if self.teacher is not None and self.trainer != "distill":
-            raise ConfigError(f"TrainingCfg.teacher = {self.teacher}: trainer {self.trainer} has none. Use distill")
-        if self.initial is not None and self.trainer != "ppo":
-            raise ConfigError(f"TrainingCfg.initial = {self.initial}: trainer {self.trainer} begins anew. Use ppo")
+        if [name for name in SECTIONS if getattr(self, name) is not None] != [trainer.section]:
+            raise ConfigError(
+                f"TrainingCfg: trainer {self.trainer} needs its numbers under {trainer.section}, and no others"
+            )
+        if self.teacher is not None and not trainer.takes_teacher:
+            raise ConfigError(
+                f"TrainingCfg.teacher = {self.teacher}: trainer {self.trainer} has none. "
+                f"Use {trainers_with('takes_teacher')}"
+            )
+        if self.initial is not None and not trainer.takes_initial:
+            raise ConfigError(
+                f"TrainingCfg.initial = {self.initial}: trainer {self.trainer} begins anew. "
+                f"Use {trainers_with('takes_initial')}"
+            )
         learner = self.learner
         special = learner.memory or learner.critic_keys
         special = special or learner.policy_keys != ("observations",)
-        if special and self.trainer not in OWN:
+        if special and not trainer.any_inputs:
             raise ConfigError(f"TrainingCfg: memory, policy_keys and critic_keys need trainer ppo, not {self.trainer}")
         if self.ppo is None:
             return
@@ -373,7 +379,7 @@ class TrainingCfg:
 
 
 def settings_for(trainer: str, task: str, *, device: str = "auto") -> Path:
-    """Return the file of settings that come with the package for a trainer, a task and a kind of device.
+    """Return the file of settings of a trainer for a task and a device.
 
     A task without settings of its own gets those of the one in ``ALIKE``, or of the position task, and a level of a race
     (``.toml``) those of ``racing_task``; the file's name is printed with the run. On a CPU those for a CPU come first.
@@ -381,11 +387,10 @@ def settings_for(trainer: str, task: str, *, device: str = "auto") -> Path:
     Raises:
         UnknownNameError: If there is no such trainer.
     """
-    if trainer not in TRAINERS:
-        raise UnknownNameError(f"no trainer {trainer!r}. Known: {', '.join(TRAINERS)}")
+    folder = TRAINERS.get(trainer).settings_folder
     like = "racing_task" if task.endswith(".toml") else ALIKE.get(task, task)
     tasks = (task, like, "position_setpoint_task")
-    found = [TRAINING_CONFIGS / f"{trainer}_{name.removesuffix('_task')}.yaml" for name in tasks]
+    found = [folder / f"{trainer}_{name.removesuffix('_task')}.yaml" for name in tasks]
     own = next((path for path in found if path.exists()), found[-1])
     for_cpu = [path.with_name(f"{path.stem}_cpu.yaml") for path in (own, *found[:2])]
     on_cpu = next((path for path in for_cpu if path.exists()), None)

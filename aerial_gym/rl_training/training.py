@@ -1,8 +1,6 @@
 """Training: settings to a run folder, by any trainer. The libraries' global settings are put back afterwards."""
 
 import contextlib
-import importlib
-import importlib.util
 import json
 import logging
 import random
@@ -18,29 +16,23 @@ import torch
 
 from aerial_gym.config.storage import told_storage, write_whole
 from aerial_gym.control import CONTROLLERS
-from aerial_gym.errors import AerialGymError, ConfigError, MissingDependencyError, StorageError, TrainingError
+from aerial_gym.errors import AerialGymError, ConfigError, StorageError, TrainingError
 from aerial_gym.interop import on_device, resolve_device, usual_settings
 from aerial_gym.physics import BACKENDS
-from aerial_gym.rl_training.policies.load import checkpoint_of, load_policy
+from aerial_gym.rl_training.policies.load import checkpoint_of
 from aerial_gym.rl_training.ranks import Ranks, joined_ranks, own_device
 from aerial_gym.rl_training.run.interruption import Interruption, interruptible
 from aerial_gym.rl_training.run.keeper import Keeper, steps_of
 from aerial_gym.rl_training.run.progress import Progress
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.run.weights_and_biases import require_wandb, sent_to_wandb
-from aerial_gym.rl_training.settings import OWN, TrainingCfg
-from aerial_gym.rl_training.trainers.own import repeat
+from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.rl_training.trainers.catalog import TRAINERS, trainers_with
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sensors.encoder.file import load_encoder
 from aerial_gym.task import task_registry
 
 _log = logging.getLogger(__name__)
-
-NEEDED = {"rl_games": "rl_games", "sample_factory": "sample_factory"}
-"""Package that a trainer needs."""
-
-SCALING = ("ppo", "rl_games")
-"""Trainers that learn in several processes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,14 +97,14 @@ def train(
     """
     started = time.perf_counter() if started is None else started
     _check_names(cfg, resume=resume)
-    require_trainer(cfg.trainer)
+    TRAINERS.get(cfg.trainer).require()
     if wandb is not None:
         require_wandb()
     with joined_ranks(cfg.device) as ranks, _folder_of(ranks, out) as folder:
-        if ranks.size > 1 and cfg.trainer not in SCALING:
+        if ranks.size > 1 and not TRAINERS.get(cfg.trainer).several_processes:
             raise ConfigError(
                 f"trainer {cfg.trainer} learns in one process, and {ranks.size} were started. Leave torchrun out, or use "
-                f"--trainer {' or '.join(SCALING)}"
+                f"--trainer {trainers_with('several_processes')}"
             )
         with contextlib.nullcontext() if resume else _begun(cfg, folder, ranks):
             return _train(
@@ -200,12 +192,7 @@ def _train(
 def _check_names(cfg: TrainingCfg, *, resume: bool) -> None:
     """Raise the error of an unknown name or an unreadable robot file before anything is written."""
     task_registry.get(cfg.task)
-    if cfg.trainer == "distill":
-        if cfg.teacher is None:
-            raise ConfigError(
-                "trainer distill needs a policy to hand on: --teacher RUN, the run folder of its training"
-            )
-        load_policy(cfg.teacher)
+    TRAINERS.get(cfg.trainer).check(cfg)
     if cfg.initial is not None and not resume:
         checkpoint_of(cfg.initial)
     if cfg.robot is not None:
@@ -228,14 +215,13 @@ def _run(
     *,
     watch: bool,
 ) -> bool:
-    adapter = importlib.import_module(f"aerial_gym.rl_training.trainers.{cfg.trainer}")
+    trainer = TRAINERS.get(cfg.trainer)
+    trainer.prepare(resolve_device(own_device(cfg.device)))
     interruption.check()  # an import may have swallowed it
     seed = (cfg.seed + ranks.rank) % 2**32
     torch.manual_seed(seed)
     np.random.seed(seed)
     random.seed(seed)
-    if cfg.trainer == "ppo":
-        adapter.prepare(resolve_device(own_device(cfg.device)))
     with (
         task_registry.make_task(
             cfg.task,
@@ -247,8 +233,8 @@ def _run(
             controller=cfg.controller,
             backend=cfg.backend,
             encoder=cfg.encoder,
-            capture=False if cfg.trainer in OWN else None,
-            differentiable=cfg.trainer == "apg",
+            capture=trainer.captures_task,
+            differentiable=trainer.differentiable,
         ) as task,
         on_device(task.device),
     ):
@@ -258,24 +244,12 @@ def _run(
         keeper = Keeper(cfg, folder, task, resumed=resumed, ranks=ranks)
         if watch:
             task.watch()
-        more = {"ranks": ranks} if cfg.trainer in SCALING else {}
-        if cfg.trainer in OWN:
-            training = adapter.make_training(cfg, task, **more)
-            interrupted = repeat(training, folder, progress, keeper=keeper, interruption=interruption)
-        else:
-            interrupted = adapter.run(cfg, task, folder, progress, keeper=keeper, interruption=interruption, **more)
+        interrupted = trainer.run(cfg, task, folder, progress, keeper=keeper, interruption=interruption, ranks=ranks)
         non_finite = torch.tensor(task.num_non_finite)
         progress.non_finite = int(ranks.sum_(non_finite))
         if watch and progress.non_finite:
             task.dump(folder.path / "non_finite.csv")
         return interrupted
-
-
-def require_trainer(trainer: str) -> None:
-    """Raise ``MissingDependencyError`` if the package of a trainer is not installed."""
-    package = NEEDED.get(trainer)
-    if package is not None and importlib.util.find_spec(package) is None:
-        raise MissingDependencyError(f"trainer {trainer!r} needs the package {package!r}: pip install 'aerial-gym[rl]'")
 
 
 @contextlib.contextmanager

@@ -49,7 +49,7 @@ class BenchRacing:
         from scipy.stats import binomtest
 
         from aerial_gym.export.pilot import STEPS, load_exported
-        from aerial_gym.rl_training.evaluate import evaluate
+        from aerial_gym.rl_training.evaluation import evaluate
         from aerial_gym.rl_training.policies.load import check_fits, load_policy
         from aerial_gym.task import task_registry
 

@@ -46,9 +46,18 @@ def test_list_as_json_holds_every_kind(capsys: pytest.CaptureFixture[str]) -> No
     status, out, _ = run(capsys, "list", "--json")
     assert status == 0
     found = json.loads(out)
-    assert {"sims", "environments", "robots", "controllers", "sensors", "imus", "effects", "backends", "tasks"} == set(
-        found
-    )
+    assert {
+        "sims",
+        "environments",
+        "robots",
+        "controllers",
+        "sensors",
+        "imus",
+        "effects",
+        "backends",
+        "tasks",
+        "trainers",
+    } == set(found)
     assert set(found["imus"]) == {"base_imu", "bmi088", "vn100"} < set(found["sensors"])
     assert found["controllers"]["no_control"] == "thrust of each rotor [N]"
     assert "base_sim_headless" in found["sims"]

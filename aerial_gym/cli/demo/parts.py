@@ -15,7 +15,7 @@ from aerial_gym.cli.demo.figures import as_data_url, camera_figure, flights_figu
 from aerial_gym.cli.demo.loop_figures import residual_figure, residual_rows, rollout_figure
 from aerial_gym.env_manager import SimBuilder
 from aerial_gym.errors import DataError
-from aerial_gym.rl_training.evaluate import evaluate
+from aerial_gym.rl_training.evaluation import evaluate
 from aerial_gym.rl_training.policies.load import load_policy
 from aerial_gym.rl_training.settings import load_settings, settings_for
 from aerial_gym.rl_training.training import train

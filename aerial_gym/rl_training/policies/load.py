@@ -1,4 +1,4 @@
-"""Reading trained policies: from checkpoints of our own, of rl-games and of Sample Factory; none of these needs be installed.
+"""Read trained policies from checkpoints of any trainer, without its library.
 
 Letters: O entries of an observation.
 """
@@ -18,7 +18,8 @@ from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.run.run_folder import RunFolder, run_folder_of
-from aerial_gym.rl_training.settings import OWN, TrainingCfg
+from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.rl_training.trainers.catalog import TRAINERS
 from aerial_gym.task import Task
 
 
@@ -81,13 +82,11 @@ def policy_from_payload(payload: Mapping[str, Any], cfg: TrainingCfg, *, where: 
     model = payload.get("model")
     if not isinstance(model, Mapping) or not all(isinstance(value, Tensor) for value in model.values()):
         raise ConfigError(f"checkpoint {where}: holds no network")
-    if cfg.trainer in OWN:
-        return _own_policy(model, payload.get("network"), cfg, where=where)
-    return policy_from_state(model, cfg, where=where)
+    return TRAINERS.get(cfg.trainer).policy(model, payload, cfg, where=where)
 
 
-def _own_policy(model: Mapping[str, Tensor], network: Any, cfg: TrainingCfg, *, where: str) -> Policy:
-    """Return the policy of a checkpoint of our own trainer."""
+def own_policy(model: Mapping[str, Tensor], network: Any, cfg: TrainingCfg, *, where: str) -> Policy:
+    """Return the policy in a checkpoint of a learner of this package."""
     state = {name.removeprefix("actor."): value for name, value in model.items() if name.startswith("actor.")}
     _check_finite(state.items(), where)
     try:
@@ -127,15 +126,13 @@ def _check_finite(tensors: Iterable[tuple[str, Tensor]], where: str) -> None:
             )
 
 
-def policy_from_state(state: Mapping[str, Tensor], cfg: TrainingCfg, *, where: str) -> Policy:
-    """Return the policy in the model state of rl-games or Sample Factory; ``where`` is named in errors."""
-    reader = _read_rl_games if cfg.trainer == "rl_games" else _read_sample_factory
-    try:
-        layers, mean, var = reader(state, len(cfg.learner.hidden_layers))
-    except KeyError as error:
-        raise ConfigError(
-            f"{where}: no {error} in it; it is no {cfg.trainer} checkpoint of {cfg.learner.hidden_layers}"
-        ) from None
+Weights = tuple[list[tuple[Tensor, Tensor]], Tensor | None, Tensor | None]
+"""Weight and bias of each layer; mean and variance of the observation, or None."""
+
+
+def policy_from_weights(weights: Weights, cfg: TrainingCfg, *, where: str) -> Policy:
+    """Return a policy of linear layers and a normaliser; ``where`` is named in errors."""
+    layers, mean, var = weights
     told = [(f"layer {i}", tensor) for i, pair in enumerate(layers) for tensor in pair]
     _check_finite([*told, *(() if mean is None or var is None else (("mean", mean), ("var", var)))], where)
     for (_, bias), (weight, _) in pairwise(layers):
@@ -155,26 +152,3 @@ def policy_from_state(state: Mapping[str, Tensor], cfg: TrainingCfg, *, where: s
         assert isinstance(normalizer, RunningNormalizer)
         normalizer.set(mean, var)
     return _to_fly(policy)
-
-
-Weights = tuple[list[tuple[Tensor, Tensor]], Tensor | None, Tensor | None]
-"""Layers, mean and variance of the observation."""
-
-
-def _layer(state: Mapping[str, Tensor], prefix: str) -> tuple[Tensor, Tensor]:
-    return state[f"{prefix}.weight"], state[f"{prefix}.bias"]
-
-
-def _read_rl_games(state: Mapping[str, Tensor], num_hidden: int) -> Weights:
-    state = {key.removeprefix("_orig_mod."): value for key, value in state.items()}  # prefix of a compiled model
-    layers = [_layer(state, f"a2c_network.actor_mlp.{2 * i}") for i in range(num_hidden)]
-    normalizer = "running_mean_std.running_"
-    return [*layers, _layer(state, "a2c_network.mu")], state.get(f"{normalizer}mean"), state.get(f"{normalizer}var")
-
-
-def _read_sample_factory(state: Mapping[str, Tensor], num_hidden: int) -> Weights:
-    encoder = "actor_encoder" if any(key.startswith("actor_encoder.") for key in state) else "encoder"
-    layers = [_layer(state, f"{encoder}.encoders.obs.mlp_head.{2 * i}") for i in range(num_hidden)]
-    normalizer = "obs_normalizer.running_mean_std.running_mean_std.obs.running_"
-    head = _layer(state, "action_parameterization.distribution_linear")
-    return [*layers, head], state.get(f"{normalizer}mean"), state.get(f"{normalizer}var")

@@ -9,9 +9,7 @@
     result.json       figures at the end of the last session
     checkpoints/      checkpoint_STEPS.pth: the last two; STEPS are the environment steps of all sessions
     log.txt           what the libraries print
-    ppo/, apg/, distill/  summaries/ (TensorBoard)
-    rl_games/         summaries/ (TensorBoard)
-    sample_factory/   .summary/ (TensorBoard), config.json
+    TRAINER/          files of the trainer, such as summaries/ (TensorBoard)
 
 Files are written whole: a run that is killed at any moment can be continued.
 """
@@ -35,6 +33,7 @@ from aerial_gym.config.storage import told_storage, write_whole
 from aerial_gym.errors import ConfigError, StorageError
 from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.settings import TrainingCfg, load_settings
+from aerial_gym.rl_training.trainers.catalog import TRAINERS
 
 VERSIONS = "versions.json"
 """File with a line for every session: a folder without it holds no training that has begun."""
@@ -44,8 +43,8 @@ KEPT_CHECKPOINTS = 2
 
 _log = logging.getLogger(__name__)
 
-PACKAGES = ("aerial-gym", "torch", "numpy", "gymnasium", "warp-lang", "rl-games", "sample-factory")
-"""Packages whose versions are written down."""
+PACKAGES = ("aerial-gym", "torch", "numpy", "gymnasium", "warp-lang")
+"""Packages whose versions are written down, besides the libraries of the trainers."""
 
 
 class RunFolder:
@@ -97,10 +96,8 @@ class RunFolder:
 
     def checkpoints(self) -> list[Path]:
         """Return the checkpoints, oldest first; those of earlier versions of this package, which lay elsewhere, included."""
-        earlier = [
-            *self.path.glob("rl_games/nn/*.pth"),
-            *self.path.glob("sample_factory/checkpoint_p0/checkpoint_*.pth"),
-        ]
+        patterns = [pattern for name in TRAINERS for pattern in TRAINERS.get(name).earlier_checkpoints]
+        earlier = [path for pattern in patterns for path in self.path.glob(pattern)]
         earlier.sort(key=lambda path: path.stat().st_mtime_ns)
         return earlier + sorted(self.checkpoint_folder.glob("checkpoint_*.pth"))
 
@@ -218,7 +215,8 @@ def run_folder_of(checkpoint: str | Path) -> RunFolder:
 
 def _versions() -> dict[str, str]:
     found = {}
-    for name in PACKAGES:
+    libraries = (TRAINERS.get(name).distribution for name in TRAINERS)
+    for name in (*PACKAGES, *filter(None, libraries)):
         try:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:

@@ -1,1 +1,1 @@
-"""One module a trainer, named as a user names it; each has ``run``."""
+"""Trainers by the name that a user gives to ``--trainer``: one module each, and one line in ``catalog``."""

@@ -1,23 +1,46 @@
 """Training with analytic policy gradients."""
 
 import logging
+from typing import TYPE_CHECKING
 
-from aerial_gym.rl_training.learning.apg import Apg
-from aerial_gym.rl_training.learning.network import make_network
-from aerial_gym.rl_training.settings import TrainingCfg
-from aerial_gym.rl_training.trainers.own import OwnTraining
-from aerial_gym.task import Task, task_registry
+from aerial_gym.rl_training.settings import ApgCfg, TrainingCfg
+from aerial_gym.rl_training.trainers.trainer import OwnTrainer
+
+if TYPE_CHECKING:
+    from aerial_gym.rl_training.learning.apg import Apg
+    from aerial_gym.rl_training.ranks import Ranks
+    from aerial_gym.rl_training.trainers.own import OwnTraining
+    from aerial_gym.task import Task
 
 _log = logging.getLogger(__name__)
 
 
-def make_training(cfg: TrainingCfg, task: Task) -> OwnTraining[Apg]:
-    """Return a new training; warn of a task whose reward is known to have no slope where the robot comes to.
+class ApgTrainer(OwnTrainer):
+    """Analytic policy gradients of this package."""
+
+    name = "apg"
+    summary = "analytic policy gradients through the simulation, with a short-horizon critic"
+    section, settings = "apg", ApgCfg
+    differentiable = True
+
+    def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks") -> "OwnTraining[Apg]":
+        """Return a new training."""
+        del ranks
+        return make_training(cfg, task)
+
+
+def make_training(cfg: TrainingCfg, task: "Task") -> "OwnTraining[Apg]":
+    """Return a new training; warn if the task has a variant with a reward whose slope does not vanish.
 
     Raises:
         CapabilityError: If the task has no gradients.
-        ConfigError: If it does not have what the networks are to see.
+        ConfigError: If the task lacks a key of the observation that the networks need.
     """
+    from aerial_gym.rl_training.learning.apg import Apg
+    from aerial_gym.rl_training.learning.network import make_network
+    from aerial_gym.rl_training.trainers.own import OwnTraining
+    from aerial_gym.task import task_registry
+
     smooth = f"smooth_{cfg.task}"
     if smooth in task_registry.names():
         _log.warning("trainer apg: the reward of %s is flat far from its target. Train with task %s", cfg.task, smooth)

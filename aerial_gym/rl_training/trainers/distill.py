@@ -1,19 +1,53 @@
-"""Training a student on what a trained policy does."""
+"""Training a student that imitates a trained policy."""
 
-from aerial_gym.rl_training.learning.distill import Distill
-from aerial_gym.rl_training.learning.network import make_network
-from aerial_gym.rl_training.policies.load import check_fits, load_policy
-from aerial_gym.rl_training.settings import TrainingCfg
-from aerial_gym.rl_training.trainers.own import OwnTraining
-from aerial_gym.task import Task
+from typing import TYPE_CHECKING
+
+from aerial_gym.errors import ConfigError
+from aerial_gym.rl_training.settings import DistillCfg, TrainingCfg
+from aerial_gym.rl_training.trainers.trainer import OwnTrainer
+
+if TYPE_CHECKING:
+    from aerial_gym.rl_training.learning.distill import Distill
+    from aerial_gym.rl_training.ranks import Ranks
+    from aerial_gym.rl_training.trainers.own import OwnTraining
+    from aerial_gym.task import Task
 
 
-def make_training(cfg: TrainingCfg, task: Task) -> OwnTraining[Distill]:
+class DistillTrainer(OwnTrainer):
+    """Distillation of this package."""
+
+    name = "distill"
+    summary = "a student learns the actions of a trained policy"
+    section, settings = "distill", DistillCfg
+    takes_teacher = True
+
+    def check(self, cfg: TrainingCfg) -> None:
+        """Raise ``ConfigError`` if the teacher is missing or cannot be read."""
+        from aerial_gym.rl_training.policies.load import load_policy
+
+        if cfg.teacher is None:
+            raise ConfigError(
+                "trainer distill needs a policy to hand on: --teacher RUN, the run folder of its training"
+            )
+        load_policy(cfg.teacher)
+
+    def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks") -> "OwnTraining[Distill]":
+        """Return a new training."""
+        del ranks
+        return make_training(cfg, task)
+
+
+def make_training(cfg: TrainingCfg, task: "Task") -> "OwnTraining[Distill]":
     """Return a new training.
 
     Raises:
-        ConfigError: If the teacher cannot be read, or the task does not have what it or the student sees.
+        ConfigError: If the teacher cannot be read, or the task lacks a key that teacher or student need.
     """
+    from aerial_gym.rl_training.learning.distill import Distill
+    from aerial_gym.rl_training.learning.network import make_network
+    from aerial_gym.rl_training.policies.load import check_fits, load_policy
+    from aerial_gym.rl_training.trainers.own import OwnTraining
+
     assert cfg.teacher is not None
     teacher, its_cfg = load_policy(cfg.teacher, device=task.device)
     check_fits(teacher, task, its_cfg.task)

@@ -1,28 +1,57 @@
-"""Training with proximal policy optimisation of our own."""
+"""Training with proximal policy optimisation of this package."""
 
 import logging
+from typing import TYPE_CHECKING
 
-from aerial_gym.rl_training.learning.fused import FusedPpo, prepare, why_not_fused
-from aerial_gym.rl_training.learning.network import make_network
-from aerial_gym.rl_training.learning.ppo import Ppo
-from aerial_gym.rl_training.ranks import ALONE, Ranks
 from aerial_gym.rl_training.settings import PpoCfg, TrainingCfg
-from aerial_gym.rl_training.trainers.own import OwnTraining
-from aerial_gym.task import Task
+from aerial_gym.rl_training.trainers.trainer import OwnTrainer
 
-__all__ = ["make_training", "prepare"]
+if TYPE_CHECKING:
+    import torch
+
+    from aerial_gym.rl_training.learning.ppo import Ppo
+    from aerial_gym.rl_training.ranks import Ranks
+    from aerial_gym.rl_training.trainers.own import OwnTraining
+    from aerial_gym.task import Task
 
 _log = logging.getLogger(__name__)
 
 
-def make_training(cfg: TrainingCfg, task: Task, *, fused: bool = True, ranks: Ranks = ALONE) -> OwnTraining[Ppo]:
-    """Return a new training; its networks in kernels of their own where that can be, and unless not ``fused``.
+class PpoTrainer(OwnTrainer):
+    """PPO of this package."""
+
+    name = "ppo"
+    summary = "PPO of this package; simulation and learning are one CUDA graph on a GPU"
+    several_processes = True
+    takes_initial = True
+
+    def prepare(self, device: "torch.device") -> None:
+        """Compile the kernels of the networks."""
+        from aerial_gym.rl_training.learning.fused import prepare
+
+        prepare(device)
+
+    def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks") -> "OwnTraining[Ppo]":
+        """Return a new training."""
+        return make_training(cfg, task, ranks=ranks)
+
+
+def make_training(
+    cfg: TrainingCfg, task: "Task", *, fused: bool = True, ranks: "Ranks | None" = None
+) -> "OwnTraining[Ppo]":
+    """Return a new training; ``fused`` runs the networks in kernels of their own where possible.
 
     Raises:
-        ConfigError: If the task does not have what the networks are to see.
+        ConfigError: If the task lacks a key of the observation that the networks need.
     """
+    from aerial_gym.rl_training.learning.fused import FusedPpo, why_not_fused
+    from aerial_gym.rl_training.learning.network import make_network
+    from aerial_gym.rl_training.learning.ppo import Ppo
+    from aerial_gym.rl_training.ranks import ALONE
+    from aerial_gym.rl_training.trainers.own import OwnTraining
+
     network = make_network(cfg, task)
     reason = why_not_fused(cfg.section(PpoCfg), network, task.device) if fused else "asked for"
     if reason is not None and task.device.type == "cuda":
         _log.info("the networks run as torch operations: %s", reason)
-    return OwnTraining(cfg, task, (FusedPpo if reason is None else Ppo)(cfg, task, network, ranks))
+    return OwnTraining(cfg, task, (FusedPpo if reason is None else Ppo)(cfg, task, network, ranks or ALONE))

@@ -1,335 +1,60 @@
-# pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false, reportArgumentType=false
-# pyright: reportCallIssue=false, reportOperatorIssue=false
-# (The library's types say less than its objects are.)
-"""Training with Sample Factory (APPO, serial and synchronous): a task as one batched environment of its own runner.
+"""Training with the library Sample Factory; its adapter is ``adapters.sample_factory``."""
 
-Letters: E environments, O entries of an observation, U entries of an action.
-"""
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
-import contextlib
-import logging
-import math
-import os
-import pickle
-import uuid
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
+from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.rl_training.trainers.trainer import LibraryTrainer
 
-import gymnasium
-import torch
-from gymnasium import spaces
-from sample_factory.algo.learning.batcher import Batcher
-from sample_factory.algo.learning.learner import Learner
-from sample_factory.algo.learning.learner_worker import LearnerWorker
-from sample_factory.algo.runners.runner import AlgoObserver
-from sample_factory.algo.runners.runner_serial import SerialRunner
-from sample_factory.algo.utils.context import global_env_registry, global_model_factory
-from sample_factory.algo.utils.env_info import env_info_cache_filename, extract_env_info
-from sample_factory.algo.utils.make_env import make_env_func_batched
-from sample_factory.algo.utils.misc import ExperimentStatus
-from sample_factory.cfg.arguments import parse_full_cfg, parse_sf_args
-from sample_factory.envs.env_utils import register_env
-from sample_factory.model.actor_critic import ActorCritic, default_make_actor_critic_func
-from sample_factory.utils.typing import Config
-from signal_slot.signal_slot import EventLoop, EventLoopStatus
-from torch import Tensor
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
 
-from aerial_gym.errors import ConfigError, TrainingError
-from aerial_gym.rl_training.run.interruption import Interruption
-from aerial_gym.rl_training.run.keeper import Keeper
-from aerial_gym.rl_training.run.progress import Progress, Report
-from aerial_gym.rl_training.run.run_folder import RunFolder
-from aerial_gym.rl_training.settings import PpoCfg, TrainingCfg
-from aerial_gym.rl_training.trainers.summaries import GuardedEvents, guard
-from aerial_gym.task import Task
-
-OFF = 10**15
-"""A count that is never reached: switches a feature of the library off."""
+    from aerial_gym.rl_training.policies.load import Weights
+    from aerial_gym.rl_training.ranks import Ranks
+    from aerial_gym.rl_training.run.interruption import Interruption
+    from aerial_gym.rl_training.run.keeper import Keeper
+    from aerial_gym.rl_training.run.progress import Progress
+    from aerial_gym.rl_training.run.run_folder import RunFolder
+    from aerial_gym.task import Task
 
 
-NO_LIMIT = 1e9
-"""A value that clips nothing."""
+class SampleFactoryTrainer(LibraryTrainer):
+    """The library Sample Factory."""
 
+    name = "sample_factory"
+    summary = "PPO of the library Sample Factory (APPO, synchronous)"
+    package, distribution = "sample_factory", "sample-factory"
+    earlier_checkpoints = ("sample_factory/checkpoint_p0/checkpoint_*.pth",)
 
-class TaskBatchedEnv(gymnasium.Env):
-    """A task as Sample Factory sees it: one environment with E agents, tensors in and out."""
+    def prepare(self, device: "torch.device") -> None:
+        """Import the library."""
+        import aerial_gym.rl_training.adapters.sample_factory  # noqa: F401
 
-    is_multiagent = True
+        del device
 
-    def __init__(self, task: Task, interruption: Interruption | None = None) -> None:
-        """Take a built task, and whether the user asked to end: the library takes most of a start-up to its first update."""
-        self._task, self.num_agents = task, task.num_envs
-        self._interruption = interruption or Interruption()
-        space = task.observation_space
-        assert isinstance(space, spaces.Dict)
-        self.observation_space = spaces.Dict({"obs": space["observations"]})
-        self.action_space = task.action_space
-        self._low = torch.as_tensor(task.action_space.low, device=task.device)
-        self._high = torch.as_tensor(task.action_space.high, device=task.device)
+    def run(
+        self,
+        cfg: TrainingCfg,
+        task: "Task",
+        folder: "RunFolder",
+        progress: "Progress",
+        *,
+        keeper: "Keeper",
+        interruption: "Interruption",
+        ranks: "Ranks",
+    ) -> bool:
+        """Train with the runner of the library; return whether it was interrupted."""
+        from aerial_gym.rl_training.adapters.sample_factory import run
 
-    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict[str, Tensor], dict]:
-        """Start all episodes anew, at random ages. The library's ``seed`` is the index of its worker; the task has its own."""
-        del seed, options
-        observation, _ = self._task.reset()
-        self._task.stagger()
-        return {"obs": observation["observations"]}, {}
+        del ranks
+        return run(cfg, task, folder, progress, keeper=keeper, interruption=interruption)
 
-    def step(self, actions: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, dict]:
-        """Advance by actions (E, U), clamped to the action space, which the library does not do."""
-        self._interruption.check()
-        clamped = torch.clamp(actions, self._low, self._high)
-        observation, reward, terminated, truncated, _ = self._task.step(clamped)
-        return {"obs": observation["observations"]}, reward, terminated, truncated, {}
-
-    def render(self) -> None:
-        """Nothing to show."""
-
-
-class _KeptLearner(Learner):
-    """A learner that saves and restores through a ``Keeper``; the library takes the newest file by its name."""
-
-    keeper: Keeper
-
-    def load_from_checkpoint(self, policy_id: int, load_progress: bool = True) -> None:
-        """Go on from the checkpoint of the keeper, if there is one."""
-        del policy_id, load_progress
-        if self.keeper.resumes:
-            self.keeper.restore(self._load_state)
-
-    def init(self) -> Any:
-        """Make network and optimiser, and keep a new run's first checkpoint."""
-        data = super().init()
-        if not self.keeper.resumes:
-            self.save()
-        return data
-
-    def save(self) -> bool:
-        """Keep everything that is needed to go on; return whether there was anything yet."""
-        if not (self.is_initialized and self.keeper.ready):
-            return False
-        self.keeper.save(self._get_checkpoint_dict(), env_steps=int(self.env_steps))
-        return True
-
-
-class _Runner(SerialRunner):
-    """The library's runner with a kept learner, and without a catch-all: an error keeps its own sentence."""
-
-    def __init__(self, cfg: Config, keeper: Keeper) -> None:
-        super().__init__(cfg)
-        self._keeper = keeper
-        self.summaries: list[GuardedEvents] = [guard(writer) for writer in self.writers.values()]
-
-    def _make_learner(self, event_loop: EventLoop, policy_id: int, batcher: Batcher) -> LearnerWorker:
-        worker = super()._make_learner(event_loop, policy_id, batcher)
-        learner = _KeptLearner(self.cfg, self.env_info, self.buffer_mgr.policy_versions, policy_id, worker.param_server)
-        learner.keeper, worker.learner = self._keeper, learner
-        return worker
-
-    def run(self) -> int:
-        """Train until the end or an interruption; return the status."""
-        with self.timing.timeit("main_loop"):
-            if self.event_loop.exec() == EventLoopStatus.INTERRUPTED:
-                self.status = ExperimentStatus.INTERRUPTED
-            self.stop.emit(self.object_id)
-        return self.status
-
-    def save(self) -> None:
-        """Keep a checkpoint of what there is."""
-        for worker in self.learners.values():
-            worker.learner.save()
-
-
-class _Observer(AlgoObserver):
-    """Reports after every update, saves from time to time, and tells the runner to end."""
-
-    def __init__(self, cfg: TrainingCfg, progress: Progress, keeper: Keeper, interruption: Interruption) -> None:
-        self._cfg, self._progress, self._keeper, self._interruption = cfg, progress, keeper, interruption
-
-    def on_training_step(self, runner: _Runner, training_iteration_since_resume: int) -> None:
-        del training_iteration_since_resume
-        if 0 not in runner.env_steps:
-            return
-        returns, lengths = (runner.policy_avg_stats.get(key, [()])[0] for key in ("reward", "len"))
-        report = Report(
-            env_steps=int(runner.env_steps[0]),
-            episode_return=float(sum(returns) / len(returns)) if returns else None,
-            episode_length=float(sum(lengths) / len(lengths)) if lengths else None,
-        )
-        self._interruption.check()
-        for summaries in runner.summaries:
-            summaries.check()
-        if self._progress.update(report):
-            runner.total_train_seconds = OFF  # the runner compares it with its limit right after this call
-        elif self._keeper.due:
-            runner.save()
-        self._follow_schedules(runner.learners[0].learner)
-
-    def _follow_schedules(self, learner: Learner) -> None:
-        ppo, share = self._cfg.section(PpoCfg), self._progress.share
-        limit = ppo.max_learning_rate_at(share)
-        learner.lr_scheduler.max_lr, learner.curr_lr = limit, min(learner.curr_lr, limit)
-        learner.actor_critic.action_parameterization.learned_stddev.data.clamp_(min=math.log(ppo.min_std))
-
-
-def run(
-    cfg: TrainingCfg, task: Task, folder: RunFolder, progress: Progress, *, keeper: Keeper, interruption: Interruption
-) -> bool:
-    """Train until a limit of ``cfg`` is reached or the user interrupts; return whether it was interrupted.
-
-    Args:
-        cfg: Settings.
-        task: Built task, reset by the trainer.
-        folder: Receives TensorBoard files.
-        progress: Told after every update.
-        keeper: Keeps checkpoints, and knows where to go on.
-        interruption: Whether the user asked to end.
-
-    Raises:
-        ConfigError: If the device is not one that the library can use.
-        StorageError: If the disk is full.
-        TrainingError: If the training diverged, or the library gives up; the log says why.
-    """
-    if task.device.type == "cuda" and (task.device.index or 0) != 0:
-        raise ConfigError(f"device {task.device}: Sample Factory uses cuda:0. Choose the GPU with CUDA_VISIBLE_DEVICES")
-    name = f"{cfg.task}_{uuid.uuid4().hex[:8]}"
-    with _own_log(), _registered(name, cfg, task, interruption):
-        runner = _Runner(library_config(cfg, folder.path, env_name=name, device=task.device), keeper)
-        try:
-            status = _train(runner, _Observer(cfg, progress, keeper, interruption))
-        finally:
-            for writer in runner.writers.values():
-                writer.close()
-        steps = runner.env_steps.get(0, progress.env_steps)  # the last update came after the last report
-        progress.env_steps = int(steps)
-    if status not in (ExperimentStatus.SUCCESS, ExperimentStatus.INTERRUPTED):
-        raise TrainingError(f"Sample Factory gave up; {folder.log_file} says why")
-    return status == ExperimentStatus.INTERRUPTED
-
-
-def _train(runner: _Runner, observer: _Observer) -> int:
-    """Return the status in which the runner ended; an interrupted one has saved."""
-    runner.register_observer(observer)
-    try:
-        with _env_info_known(runner.cfg):
-            status = runner.init()
-        if status == ExperimentStatus.SUCCESS:
-            status = runner.run()
-    except KeyboardInterrupt:
-        status = ExperimentStatus.INTERRUPTED
-    if status == ExperimentStatus.INTERRUPTED:
-        runner.save()
-    return status
-
-
-def library_config(cfg: TrainingCfg, out: Path, *, env_name: str, device: torch.device) -> Config:
-    """Return the settings as Sample Factory names them, made by its own parser from a list, never from ``sys.argv``."""
-    ppo = cfg.section(PpoCfg)
-    batch = cfg.num_envs * ppo.horizon // ppo.num_minibatches
-    gpu = device.type == "cuda"
-    options: dict[str, object] = {
-        "env": env_name,
-        "experiment": "sample_factory",
-        "train_dir": out,
-        "seed": cfg.seed,
-        "device": "gpu" if gpu else "cpu",
-        # one batched environment in this process
-        "serial_mode": True,
-        "async_rl": False,
-        "batched_sampling": True,
-        "num_workers": 1,
-        "num_envs_per_worker": 1,
-        "worker_num_splits": 1,
-        "env_gpu_actions": True,
-        "env_gpu_observations": gpu,
-        "use_env_info_cache": True,
-        # learning
-        "use_rnn": False,
-        "actor_critic_share_weights": not ppo.separate_value_network,
-        "nonlinearity": ppo.activation,
-        "adaptive_stddev": False,
-        "initial_stddev": ppo.initial_std,
-        "policy_initialization": "torch_default",
-        "rollout": ppo.horizon,
-        "batch_size": batch,
-        "num_batches_per_epoch": ppo.num_minibatches,
-        "num_epochs": ppo.num_epochs,
-        "shuffle_minibatches": False,
-        "gamma": ppo.discount,
-        "gae_lambda": ppo.gae_lambda,
-        "with_vtrace": False,
-        "value_bootstrap": True,
-        "learning_rate": ppo.learning_rate,
-        "lr_schedule": "kl_adaptive_epoch",
-        "lr_schedule_kl_threshold": ppo.kl_threshold,
-        "ppo_clip_ratio": ppo.clip_range,
-        "ppo_clip_value": ppo.clip_range if ppo.clip_value else NO_LIMIT,
-        "value_loss_coeff": ppo.value_coef,
-        "exploration_loss_coeff": ppo.entropy_coef,
-        "kl_loss_coeff": 0.0,
-        "max_grad_norm": ppo.max_grad_norm,
-        "reward_scale": ppo.reward_scale,
-        "normalize_input": ppo.normalize_observation,
-        "normalize_returns": ppo.normalize_value,
-        # files
-        "log_to_file": False,
-        "save_every_sec": OFF // 10,  # the keeper says when
-        "save_best_after": OFF,
-        "experiment_summaries_interval": 3,
-        "flush_summaries_interval": 5,
-        "with_wandb": False,
-        "train_for_env_steps": OFF,
-        "train_for_seconds": OFF // 10,
-    }
-    arguments = [f"--{key}={value}" for key, value in options.items()]
-    arguments += ["--encoder_mlp_layers", *(str(width) for width in ppo.hidden_layers)]
-    if gpu:
-        arguments += ["--actor_worker_gpus", "0"]
-    parser, _ = parse_sf_args(arguments)
-    return parse_full_cfg(parser, arguments)
-
-
-@contextlib.contextmanager
-def _registered(name: str, cfg: TrainingCfg, task: Task, interruption: Interruption) -> Iterator[None]:
-    """Make the task and the first weights of the network known to the library, for as long as they are needed."""
-
-    def make_network(library_cfg: Config, obs_space: spaces.Space, action_space: spaces.Space) -> ActorCritic:
-        network = default_make_actor_critic_func(library_cfg, obs_space, action_space)
-        head = network.action_parameterization.distribution_linear
-        torch.nn.init.normal_(head.weight, std=math.sqrt(cfg.learner.head_variance / head.in_features))
-        torch.nn.init.zeros_(head.bias)
-        return network
-
-    factory = global_model_factory()
-    kept = factory.make_actor_critic_func
-    factory.register_actor_critic_factory(make_network)
-    register_env(name, lambda *_: TaskBatchedEnv(task, interruption))
-    try:
-        yield
-    finally:
-        factory.register_actor_critic_factory(kept)
-        del global_env_registry()[name]
-
-
-@contextlib.contextmanager
-def _env_info_known(cfg: Config) -> Iterator[None]:
-    """Put spaces and sizes into the library's cache: otherwise it builds the task a second time, in another process."""
-    file = env_info_cache_filename(cfg)
-    info = extract_env_info(make_env_func_batched(cfg, env_config=None), cfg)
-    with open(file, "wb") as stream:
-        pickle.dump(info, stream)
-    try:
-        yield
-    finally:
-        os.remove(file)
-
-
-@contextlib.contextmanager
-def _own_log() -> Iterator[None]:
-    """Let the library's logger, which writes to the terminal, write to the log of the run (the root's handler)."""
-    log = logging.getLogger("rl")
-    kept, log.handlers = log.handlers, list(logging.getLogger().handlers)
-    try:
-        yield
-    finally:
-        log.handlers = kept
+    def weights(self, model: "Mapping[str, Tensor]", num_hidden: int) -> "Weights":
+        """Return layers, mean and variance under the names of the library."""
+        encoder = "actor_encoder" if any(key.startswith("actor_encoder.") for key in model) else "encoder"
+        names = [f"{encoder}.encoders.obs.mlp_head.{2 * i}" for i in range(num_hidden)]
+        names.append("action_parameterization.distribution_linear")
+        layers = [(model[f"{name}.weight"], model[f"{name}.bias"]) for name in names]
+        normalizer = "obs_normalizer.running_mean_std.running_mean_std.obs.running_"
+        return layers, model.get(f"{normalizer}mean"), model.get(f"{normalizer}var")

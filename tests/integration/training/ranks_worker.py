@@ -106,7 +106,7 @@ def fail(out: Path, ports: list[str]) -> None:
 
 def learn_with_rl_games(out: Path, ports: list[str]) -> None:
     """Train and go on; each process leaves the weights that it has whenever all of them save."""
-    from aerial_gym.rl_training.trainers.rl_games import KeptAgent
+    from aerial_gym.rl_training.adapters.rl_games import KeptAgent
 
     cfg = load_settings(settings_for("rl_games", "position_setpoint_task"))
     cfg = replace(cfg, num_envs=32, device="cpu", max_time_s=None, max_env_steps=1, torch_threads=1)

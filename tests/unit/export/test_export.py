@@ -14,7 +14,7 @@ from aerial_gym.export.export import export_policy, write_policy
 from aerial_gym.export.layout import Layout, layout_of
 from aerial_gym.export.module import FlownPolicy
 from aerial_gym.export.pilot import load_exported
-from aerial_gym.rl_training.evaluate import evaluate
+from aerial_gym.rl_training.evaluation import evaluate
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import ACTIONS, task_registry
 from tests.unit.export.policies import (

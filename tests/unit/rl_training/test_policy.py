@@ -11,9 +11,9 @@ from gymnasium.spaces import Box
 
 from aerial_gym.errors import ConfigError, MissingDependencyError, UnknownNameError
 from aerial_gym.rl_training import evaluate, load_policy, load_settings, settings_for
-from aerial_gym.rl_training.policies.load import check_fits, policy_from_state
+from aerial_gym.rl_training.policies.load import check_fits, policy_from_payload
 from aerial_gym.rl_training.settings import TRAINING_CONFIGS, TrainingCfg
-from aerial_gym.rl_training.training import require_trainer
+from aerial_gym.rl_training.trainers.catalog import TRAINERS
 from aerial_gym.task import task_registry
 
 NETWORKS = [(separate, normalize) for separate in (False, True) for normalize in (False, True)]
@@ -44,7 +44,7 @@ def test_policy_is_the_mean_action_of_the_rl_games_network(separate: bool, norma
     pytest.importorskip("rl_games", reason="rl-games is not installed")
     from rl_games.algos_torch.model_builder import ModelBuilder
 
-    from aerial_gym.rl_training.trainers.rl_games import TaskVecEnv, library_params
+    from aerial_gym.rl_training.adapters.rl_games import TaskVecEnv, library_params
 
     cfg = settings("rl_games", separate=separate, normalize=normalize)
     with task_registry.make_task(cfg.task, num_envs=8, device="cpu") as task:
@@ -66,7 +66,7 @@ def test_policy_is_the_mean_action_of_the_rl_games_network(separate: bool, norma
     model.eval()
     observation = 3.0 * torch.randn(32, 13, generator=torch.Generator().manual_seed(0))
     expected = model({"is_train": False, "obs": observation.clone()})["mus"].clamp(-1.0, 1.0)
-    policy = policy_from_state(model.state_dict(), cfg, where="test")
+    policy = policy_from_payload({"model": model.state_dict()}, cfg, where="test")
     torch.testing.assert_close(policy({"observations": observation}), expected.detach(), atol=1e-6, rtol=1e-6)
     assert 0.01 < float((expected.abs() == 1.0).float().mean()) < 0.99  # some are clamped and some are not
 
@@ -79,7 +79,7 @@ def test_policy_is_the_mean_action_of_the_sample_factory_network(
     from sample_factory.algo.utils.rl_utils import prepare_and_normalize_obs
     from sample_factory.model.actor_critic import create_actor_critic
 
-    from aerial_gym.rl_training.trainers.sample_factory import TaskBatchedEnv, library_config
+    from aerial_gym.rl_training.adapters.sample_factory import TaskBatchedEnv, library_config
 
     cfg = settings("sample_factory", separate=separate, normalize=normalize)
     with task_registry.make_task(cfg.task, num_envs=8, device="cpu") as task:
@@ -93,7 +93,7 @@ def test_policy_is_the_mean_action_of_the_sample_factory_network(
     normalized = prepare_and_normalize_obs(model, {"obs": observation.clone()})
     model(normalized, torch.zeros(32, 1 + separate))
     expected = model.action_distribution().means.clamp(-1.0, 1.0)
-    policy = policy_from_state(model.state_dict(), cfg, where="test")
+    policy = policy_from_payload({"model": model.state_dict()}, cfg, where="test")
     torch.testing.assert_close(policy({"observations": observation}), expected.detach(), atol=1e-6, rtol=1e-6)
 
 
@@ -210,13 +210,13 @@ def test_a_policy_that_is_not_there_is_refused(tmp_path: Path) -> None:
         load_policy(tmp_path / "policy.pth")
     cfg = settings("rl_games", separate=True, normalize=False)
     with pytest.raises(ConfigError, match="is no rl_games checkpoint"):
-        policy_from_state({}, cfg, where="test")
+        policy_from_payload({"model": {}}, cfg, where="test")
 
 
 def test_settings_refuse_impossible_numbers_and_names() -> None:
     cfg = settings("rl_games", separate=True, normalize=False)
     with pytest.raises(
-        UnknownNameError, match="no trainer 'cleanrl'. Known: ppo, apg, distill, rl_games, sample_factory"
+        UnknownNameError, match="no trainer 'cleanrl'. Known: apg, distill, ppo, rl_games, sample_factory"
     ):
         settings_for("cleanrl", "position_setpoint_task")
     with pytest.raises(ConfigError, match="or the training never ends"):
@@ -253,7 +253,7 @@ def test_a_missing_trainer_names_what_to_install(monkeypatch: pytest.MonkeyPatch
     with pytest.raises(
         MissingDependencyError, match=r"trainer 'sample_factory' needs .* pip install 'aerial-gym\[rl\]'"
     ):
-        require_trainer("sample_factory")
+        TRAINERS.get("sample_factory").require()
 
 
 def test_a_policy_that_diverged_or_was_trained_for_another_task_is_refused() -> None:
@@ -266,7 +266,7 @@ def test_a_policy_that_diverged_or_was_trained_for_another_task_is_refused() -> 
         "a2c_network.mu.weight": torch.zeros(4, 8),
         "a2c_network.mu.bias": torch.zeros(4),
     }
-    policy = policy_from_state(state, cfg, where="test")
+    policy = policy_from_payload({"model": state}, cfg, where="test")
     with task_registry.make_task(cfg.task, num_envs=2, device="cpu") as task:
         check_fits(policy, task, cfg.task)
         task.observation_space["observations"] = Box(-1.0, 1.0, (78,))
@@ -278,7 +278,7 @@ def test_a_policy_that_diverged_or_was_trained_for_another_task_is_refused() -> 
     with pytest.raises(
         ConfigError, match="test: layer 2 holds 1 numbers that are NaN or infinite: the training diverged"
     ):
-        policy_from_state(state, cfg, where="test")
+        policy_from_payload({"model": state}, cfg, where="test")
 
 
 def test_every_file_of_settings_can_be_read() -> None:

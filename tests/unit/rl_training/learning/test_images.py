@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.rl_training.evaluate import evaluate
+from aerial_gym.rl_training.evaluation import evaluate
 from aerial_gym.rl_training.learning.network import make_network
 from aerial_gym.rl_training.learning.ppo import Ppo
 from aerial_gym.rl_training.policies.load import check_fits, policy_from_payload

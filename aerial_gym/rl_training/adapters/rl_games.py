@@ -1,0 +1,281 @@
+# pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false, reportArgumentType=false
+# pyright: reportCallIssue=false, reportOperatorIssue=false
+# (The library's types say less than its objects are.)
+"""A task as ``IVecEnv`` of rl-games, and a training run by ``rl_games.torch_runner.Runner``.
+
+Letters: E environments, O entries of an observation, U entries of an action.
+"""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+from gymnasium import spaces
+from rl_games.algos_torch.a2c_continuous import A2CAgent
+from rl_games.common.algo_observer import AlgoObserver
+from rl_games.common.ivecenv import IVecEnv
+from rl_games.torch_runner import Runner
+from torch import Tensor, distributed
+
+from aerial_gym.rl_training.ranks import ALONE, Ranks
+from aerial_gym.rl_training.run.interruption import Interruption
+from aerial_gym.rl_training.run.keeper import Keeper
+from aerial_gym.rl_training.run.progress import Progress, Report
+from aerial_gym.rl_training.run.run_folder import RunFolder
+from aerial_gym.rl_training.settings import PpoCfg, TrainingCfg
+from aerial_gym.rl_training.trainers.summaries import guard
+from aerial_gym.task import Task
+
+OFF = 10**12
+"""A count that is never reached: switches a feature of the library off."""
+
+
+class TaskVecEnv(IVecEnv):
+    """A task as rl-games sees it: done is terminated or truncated, and ``time_outs`` lets it bootstrap the value."""
+
+    def __init__(self, task: Task) -> None:
+        """Take a built task."""
+        self._task = task
+
+    def reset(self) -> Tensor:
+        """Start all episodes anew, at random ages; return observations (E, O)."""
+        observation, _ = self._task.reset()
+        self._task.stagger()
+        return observation["observations"]
+
+    def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, dict[str, Tensor]]:
+        """Advance by actions (E, U); return observations (E, O), rewards (E,), done (E,) bool, infos."""
+        observation, reward, terminated, truncated, info = self._task.step(actions)
+        return observation["observations"], reward, terminated | truncated, {"time_outs": info["time_outs"]}
+
+    def get_number_of_agents(self) -> int:
+        """Return the agents per environment: one."""
+        return 1
+
+    def get_env_info(self) -> dict[str, object]:
+        """Return spaces of a single environment."""
+        space = self._task.observation_space
+        assert isinstance(space, spaces.Dict)
+        return {"observation_space": space["observations"], "action_space": self._task.action_space, "agents": 1}
+
+
+class KeptAgent(A2CAgent):
+    """PPO that saves and restores through a ``Keeper``; the names of files that the library chooses are not used."""
+
+    keeper: Keeper
+    after_epoch: Callable[[], None]
+
+    def __init__(self, base_name: str, params: dict[str, Any]) -> None:
+        """Take what the library gives; of several processes the group is there already, and the device is the task's."""
+        self._device = params["config"]["device"]
+        with patch.object(distributed, "init_process_group", lambda *_, **__: None):
+            super().__init__(base_name, params)
+        if self._device == "cpu":
+            self.local_rank = -1  # of no GPU
+
+    @property
+    def device_name(self) -> str:
+        """The device; the library would set a GPU where there are several processes."""
+        return self._device
+
+    @device_name.setter
+    def device_name(self, name: str) -> None:
+        del name
+
+    def train_epoch(self) -> tuple[Any, ...]:
+        """Learn once; in processes other than rank 0, which the library tells nothing, say that it is done."""
+        told = super().train_epoch()
+        if self.global_rank != 0:
+            self.frame += self.curr_frames * self.world_size
+            self.after_epoch()
+        return told
+
+    def update_lr(self, lr: float) -> None:
+        """Take the rate of rank 0 for good; the library would go back to its own after the next minibatch."""
+        super().update_lr(lr)
+        if self.multi_gpu:
+            self.last_lr = self.optimizer.param_groups[0]["lr"]
+
+    def save(self, fn: str) -> None:
+        """Leave it to ``keep``: the library saves in rank 0 alone."""
+
+    def keep(self) -> None:
+        """Keep everything that is needed to go on."""
+        if self.keeper.ready:
+            self.keeper.save(self.get_full_state_weights(), env_steps=int(self.frame))
+
+    def restore(self, fn: str, set_epoch: bool = True) -> None:
+        """Go on from the checkpoint of the keeper, with the learning rate that had been adapted."""
+        del fn, set_epoch
+        self.keeper.restore(self._take_up)
+
+    def _take_up(self, state: dict[str, Any]) -> None:
+        self.set_full_state_weights(state)
+        self.last_lr = self.optimizer.param_groups[0]["lr"]
+
+
+class _Observer(AlgoObserver):
+    """Reports after every update, saves from time to time, and tells the agent to end."""
+
+    def __init__(self, cfg: TrainingCfg, progress: Progress, keeper: Keeper, interruption: Interruption) -> None:
+        self._cfg, self._progress, self._keeper, self._interruption = cfg, progress, keeper, interruption
+        self.algo: KeptAgent | None = None
+
+    def after_init(self, algo: KeptAgent) -> None:
+        self.algo, algo.keeper = algo, self._keeper
+        algo.after_epoch = lambda: self.after_print_stats(algo.frame, algo.epoch_num, 0.0)
+        self._summaries = None if algo.writer is None else guard(algo.writer)
+        if not self._keeper.resumes:
+            self.save()
+
+    def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
+        del frame, total_time
+        algo = self.algo
+        assert algo is not None
+        known = algo.game_rewards.current_size > 0
+        report = Report(
+            env_steps=int(algo.frame),
+            episode_return=float(algo.game_rewards.get_mean()[0]) if known else None,
+            episode_length=float(algo.game_lengths.get_mean().item()) if known else None,
+        )
+        self._interruption.check()
+        if self._summaries is not None:
+            self._summaries.check()
+        if self._progress.update(report):
+            algo.max_epochs = epoch_num  # the agent ends, and saves, after this epoch
+        elif self._keeper.due:
+            self.save()
+        self._follow_schedules(algo)
+
+    def _follow_schedules(self, algo: A2CAgent) -> None:
+        ppo, share = self._cfg.section(PpoCfg), self._progress.share
+        limit = ppo.max_learning_rate_at(share)
+        algo.scheduler.max_lr, algo.last_lr = limit, min(algo.last_lr, limit)
+        algo.model.a2c_network.sigma.data.clamp_(min=math.log(ppo.min_std))
+
+    def save(self) -> None:
+        if self.algo is not None:
+            self.algo.keep()
+
+
+def run(
+    cfg: TrainingCfg,
+    task: Task,
+    folder: RunFolder,
+    progress: Progress,
+    *,
+    keeper: Keeper,
+    interruption: Interruption,
+    ranks: Ranks = ALONE,
+) -> bool:
+    """Train until a limit of ``cfg`` is reached or the user interrupts; return whether it was interrupted.
+
+    Args:
+        cfg: Settings.
+        task: Built task, reset by the trainer.
+        folder: Receives TensorBoard files.
+        progress: Told after every update.
+        keeper: Keeps checkpoints, and knows where to go on.
+        interruption: Whether the user asked to end.
+        ranks: The processes that learn together.
+
+    Raises:
+        StorageError: If the disk is full.
+        TrainingError: If the training diverged.
+    """
+    observer = _Observer(cfg, progress, keeper, interruption)
+    runner = Runner(observer)
+    runner.algo_factory.register_builder("a2c_continuous", lambda **kwargs: KeptAgent(**kwargs))
+    params: dict[str, Any] = library_params(cfg, TaskVecEnv(task), folder.path, device=str(task.device))
+    params["config"]["multi_gpu"] = ranks.size > 1
+    if task.curriculum is not None and ranks.joined:
+        task.curriculum.of_all = ranks.sum_
+    runner.load_config(params)
+    interrupted = False
+    try:
+        runner.run({"train": True, "play": False, "checkpoint": "of the keeper" if keeper.resumes else None})
+    except KeyboardInterrupt:
+        interrupted = True
+    finally:
+        if observer.algo is not None and observer.algo.writer is not None:
+            observer.algo.writer.close()
+    observer.save()
+    return interrupted
+
+
+def library_params(cfg: TrainingCfg, env: TaskVecEnv, out: Path, *, device: str) -> dict[str, object]:
+    """Return the settings as rl-games names them."""
+    ppo = cfg.section(PpoCfg)
+    return {
+        "seed": cfg.seed,
+        "torch_threads": 0,  # set by the caller
+        "algo": {"name": "a2c_continuous"},
+        "model": {"name": "continuous_a2c_logstd"},
+        "network": {
+            "name": "actor_critic",
+            "separate": ppo.separate_value_network,
+            "space": {
+                "continuous": {
+                    "mu_activation": "None",
+                    "sigma_activation": "None",
+                    "mu_init": {"name": "variance_scaling_initializer", "scale": ppo.head_variance},
+                    "sigma_init": {"name": "const_initializer", "val": math.log(ppo.initial_std)},
+                    "fixed_sigma": True,
+                }
+            },
+            "mlp": {
+                "units": list(ppo.hidden_layers),
+                "activation": ppo.activation,
+                "d2rl": False,
+                "initializer": {"name": "default"},
+                "regularizer": {"name": "None"},
+            },
+        },
+        "config": {
+            **_library_run(cfg, env, out, device),
+            "gamma": ppo.discount,
+            "tau": ppo.gae_lambda,
+            "learning_rate": ppo.learning_rate,
+            "lr_schedule": "adaptive",
+            "schedule_type": "standard",
+            "kl_threshold": ppo.kl_threshold,
+            "e_clip": ppo.clip_range,
+            "clip_value": ppo.clip_value,
+            "critic_coef": ppo.value_coef,
+            "entropy_coef": ppo.entropy_coef,
+            "bounds_loss_coef": ppo.bound_coef,
+            "truncate_grads": True,
+            "grad_norm": ppo.max_grad_norm,
+            "normalize_input": ppo.normalize_observation,
+            "normalize_value": ppo.normalize_value,
+            "normalize_advantage": True,
+            "value_bootstrap": True,
+            "horizon_length": ppo.horizon,
+            "minibatch_size": cfg.num_envs * ppo.horizon // ppo.num_minibatches,
+            "mini_epochs": ppo.num_epochs,
+            "reward_shaper": {"scale_value": ppo.reward_scale},
+        },
+    }
+
+
+def _library_run(cfg: TrainingCfg, env: TaskVecEnv, out: Path, device: str) -> dict[str, object]:
+    """Return the settings that are not about learning: names, folders, limits, the environment."""
+    return {
+        "name": cfg.task,
+        "full_experiment_name": "rl_games",
+        "train_dir": str(out),
+        "env_name": cfg.task,
+        "vec_env": env,
+        "env_info": env.get_env_info(),
+        "num_actors": cfg.num_envs,
+        "device": device,
+        "ppo": True,
+        "mixed_precision": False,
+        "torch_compile": False,
+        "print_stats": False,
+        "max_epochs": OFF,
+        "save_best_after": OFF,
+        "save_frequency": 0,
+    }

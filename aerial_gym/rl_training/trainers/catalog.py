@@ -1,0 +1,29 @@
+"""Every trainer that comes with the package, in one table. A new trainer is one module and one line here.
+
+The module is imported when the trainer is first used. It imports its library only in ``prepare`` and ``run``.
+"""
+
+from typing import TYPE_CHECKING
+
+from aerial_gym.lazy import Home
+from aerial_gym.registry import Registry
+
+if TYPE_CHECKING:
+    from aerial_gym.rl_training.trainers.trainer import Trainer
+
+TRAINERS: "Registry[Trainer]" = Registry("trainer")
+
+for _name, _class in (
+    ("ppo", "PpoTrainer"),
+    ("apg", "ApgTrainer"),
+    ("distill", "DistillTrainer"),
+    ("rl_games", "RlGamesTrainer"),
+    ("sample_factory", "SampleFactoryTrainer"),
+):
+    _home = Home(f"aerial_gym.rl_training.trainers.{_name}:{_class}")
+    TRAINERS.register_later(_name, _home.make, summary=_home.summary)
+
+
+def trainers_with(feature: str) -> str:
+    """Return the names of the trainers with a feature, a class variable of ``Trainer``, joined by 'or'."""
+    return " or ".join(name for name in TRAINERS if getattr(TRAINERS.get(name), feature))

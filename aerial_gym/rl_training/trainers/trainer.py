@@ -1,0 +1,197 @@
+"""Base classes of trainers: all that training, evaluation and commands must know about one.
+
+A subclass imports its library only in ``prepare`` and ``run``, so a policy can be read without the library.
+"""
+
+import importlib.util
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from aerial_gym.errors import ConfigError, MissingDependencyError
+from aerial_gym.rl_training.settings import TRAINING_CONFIGS, LearnerCfg, PpoCfg, TrainingCfg
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
+
+    from aerial_gym.rl_training.policies.load import Weights
+    from aerial_gym.rl_training.policies.policy import Policy
+    from aerial_gym.rl_training.ranks import Ranks
+    from aerial_gym.rl_training.run.interruption import Interruption
+    from aerial_gym.rl_training.run.keeper import Keeper
+    from aerial_gym.rl_training.run.progress import Progress
+    from aerial_gym.rl_training.run.run_folder import RunFolder
+    from aerial_gym.rl_training.trainers.own import OwnTraining
+    from aerial_gym.task import Task
+
+
+class Trainer(ABC):
+    """A way to train policies."""
+
+    name: ClassVar[str]
+    """Registered name."""
+
+    summary: ClassVar[str]
+    """One line for ``aerial-gym list trainers``."""
+
+    package: ClassVar[str] = ""
+    """Name under which its library is imported; empty without one."""
+
+    distribution: ClassVar[str] = ""
+    """Name under which its library is installed; a run folder notes its version."""
+
+    install: ClassVar[str] = "aerial-gym[rl]"
+    """Argument of ``pip install`` that installs the library."""
+
+    section: ClassVar[str] = "ppo"
+    """Field of ``TrainingCfg`` with its numbers; ``numbers`` for settings of a class that ``TrainingCfg`` does not know."""
+
+    settings: ClassVar[type[LearnerCfg]] = PpoCfg
+    """Class of its numbers."""
+
+    settings_folder: ClassVar[Path] = TRAINING_CONFIGS
+    """Folder of its settings by task, ``TRAINER_TASK.yaml``."""
+
+    several_processes: ClassVar[bool] = False
+    """Whether several processes can learn together."""
+
+    takes_teacher: ClassVar[bool] = False
+    """Whether it needs a trained policy, ``TrainingCfg.teacher``."""
+
+    takes_initial: ClassVar[bool] = False
+    """Whether it can begin with networks of another run, ``TrainingCfg.initial``."""
+
+    any_inputs: ClassVar[bool] = False
+    """Whether it trains policies with memory, images and separate keys for policy and critic."""
+
+    differentiable: ClassVar[bool] = False
+    """Whether it needs gradients through the task."""
+
+    captures_task: ClassVar[bool | None] = None
+    """Whether the task records a CUDA graph of its step; None: on GPUs."""
+
+    earlier_checkpoints: ClassVar[tuple[str, ...]] = ()
+    """Glob patterns in a run folder of checkpoints that earlier versions wrote."""
+
+    def require(self) -> None:
+        """Raise ``MissingDependencyError`` if its library is not installed."""
+        if self.package and importlib.util.find_spec(self.package) is None:
+            raise MissingDependencyError(
+                f"trainer {self.name!r} needs the package {self.package!r}: pip install '{self.install}'"
+            )
+
+    def check(self, cfg: TrainingCfg) -> None:
+        """Raise the error of settings that cannot be trained, before anything is written."""
+        del cfg
+
+    def prepare(self, device: "torch.device") -> None:
+        """Import the library and compile kernels, before the task is built."""
+        del device
+
+    @abstractmethod
+    def run(
+        self,
+        cfg: TrainingCfg,
+        task: "Task",
+        folder: "RunFolder",
+        progress: "Progress",
+        *,
+        keeper: "Keeper",
+        interruption: "Interruption",
+        ranks: "Ranks",
+    ) -> bool:
+        """Train until a limit of ``cfg`` is reached or the user interrupts; return whether it was interrupted.
+
+        Args:
+            cfg: Settings.
+            task: Built task, reset by the trainer.
+            folder: Receives TensorBoard files.
+            progress: Updated after every update of the policy.
+            keeper: Writes checkpoints, and holds the one to resume from.
+            interruption: Whether the user asked to end.
+            ranks: The processes that learn together.
+
+        Raises:
+            StorageError: If the disk is full.
+            TrainingError: If the training diverged.
+        """
+
+    @abstractmethod
+    def policy(
+        self, model: "Mapping[str, Tensor]", payload: Mapping[str, Any], cfg: TrainingCfg, *, where: str
+    ) -> "Policy":
+        """Return the policy in a checkpoint.
+
+        Args:
+            model: State of the networks, ``payload["model"]``.
+            payload: The whole checkpoint.
+            cfg: Settings of its run.
+            where: Named in errors.
+
+        Raises:
+            ConfigError: If it does not hold the network of the settings.
+        """
+
+
+class OwnTrainer(Trainer):
+    """A trainer with a learner of this package: simulation and updates are one CUDA graph on a GPU."""
+
+    any_inputs = True
+    captures_task = False
+
+    @abstractmethod
+    def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks") -> "OwnTraining":
+        """Return a new training."""
+
+    def run(
+        self,
+        cfg: TrainingCfg,
+        task: "Task",
+        folder: "RunFolder",
+        progress: "Progress",
+        *,
+        keeper: "Keeper",
+        interruption: "Interruption",
+        ranks: "Ranks",
+    ) -> bool:
+        """Repeat the learner until the end; return whether it was interrupted."""
+        from aerial_gym.rl_training.trainers.own import repeat
+
+        training = self.make_training(cfg, task, ranks)
+        return repeat(training, folder, progress, keeper=keeper, interruption=interruption)
+
+    def policy(
+        self, model: "Mapping[str, Tensor]", payload: Mapping[str, Any], cfg: TrainingCfg, *, where: str
+    ) -> "Policy":
+        """Return the policy, the networks under ``actor.`` in the checkpoint."""
+        from aerial_gym.rl_training.policies.load import own_policy
+
+        return own_policy(model, payload.get("network"), cfg, where=where)
+
+
+class LibraryTrainer(Trainer):
+    """A trainer of another library, with policies of linear layers."""
+
+    @abstractmethod
+    def weights(self, model: "Mapping[str, Tensor]", num_hidden: int) -> "Weights":
+        """Return layers, mean and variance of the observation from the state of the library's network.
+
+        Raises:
+            KeyError: If the state lacks one of them.
+        """
+
+    def policy(
+        self, model: "Mapping[str, Tensor]", payload: Mapping[str, Any], cfg: TrainingCfg, *, where: str
+    ) -> "Policy":
+        """Return the policy with the weights in the library's network."""
+        from aerial_gym.rl_training.policies.load import policy_from_weights
+
+        del payload
+        layers = cfg.learner.hidden_layers
+        try:
+            weights = self.weights(model, len(layers))
+        except KeyError as error:
+            raise ConfigError(f"{where}: no {error} in it; it is no {self.name} checkpoint of {layers}") from None
+        return policy_from_weights(weights, cfg, where=where)
