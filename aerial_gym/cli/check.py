@@ -1,4 +1,4 @@
-"""``aerial-gym check``: what a robot file describes, before anything is trained on it."""
+"""``aerial-gym robot check``: what a robot file describes, before anything is trained on it."""
 
 from dataclasses import dataclass
 from pathlib import Path

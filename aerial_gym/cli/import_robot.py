@@ -1,4 +1,4 @@
-"""``aerial-gym import-robot``: a robot file from the file of another simulator."""
+"""``aerial-gym robot import``: a robot file from the file of another simulator."""
 
 import sys
 from dataclasses import dataclass, replace

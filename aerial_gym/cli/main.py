@@ -17,18 +17,21 @@ from aerial_gym.lazy import Home
 
 
 class Command(Protocol):
-    """What every subcommand can do."""
+    """A subcommand."""
 
     def run(self) -> int:
-        """Do it and return the exit status."""
+        """Run the command; return the exit status."""
         ...
 
 
+RENAMED: dict[str, str] = {"import-robot": "robot import", "check": "robot check", "tune": "robot tune"}
+"""Names of 0.1.0, each with its replacement; they warn for one release."""
+
 COMMANDS: dict[str, Home] = {
     "list": Home("aerial_gym.cli.list_names:ListCmd"),
-    "check": Home("aerial_gym.cli.check:CheckCmd"),
-    "import-robot": Home("aerial_gym.cli.import_robot:ImportRobotCmd"),
-    "tune": Home("aerial_gym.cli.tune:TuneCmd"),
+    "robot import": Home("aerial_gym.cli.import_robot:ImportRobotCmd"),
+    "robot check": Home("aerial_gym.cli.check:CheckCmd"),
+    "robot tune": Home("aerial_gym.cli.tune:TuneCmd"),
     "train": Home("aerial_gym.cli.train:TrainCmd"),
     "train-encoder": Home("aerial_gym.cli.train_encoder:TrainEncoderCmd"),
     "play": Home("aerial_gym.cli.play:PlayCmd"),
@@ -44,17 +47,24 @@ COMMANDS: dict[str, Home] = {
 }
 
 
-def _overview() -> str:
-    rows = [f"  {name:<12} {home.summary()}" for name, home in COMMANDS.items()]
+def _overview(noun: str = "") -> str:
+    names = [name for name in COMMANDS if name.startswith(noun)]
+    width = max(map(len, names))
+    rows = [f"  {name:<{width}} {COMMANDS[name].summary()}" for name in names]
+    usage = f"usage: aerial-gym {f'{noun}VERB' if noun else 'COMMAND'} [options]"
     return "\n".join(
-        [
-            "usage: aerial-gym COMMAND [options]",
-            "",
-            *rows,
-            "",
-            "aerial-gym COMMAND --help lists its options; --version says which this is.",
-        ]
+        [usage, "", *rows, "", "aerial-gym COMMAND --help lists the options; --version prints the version."]
     )
+
+
+def _split(argv: Sequence[str]) -> tuple[str, Sequence[str]]:
+    """Return the name of the command, of one or two words, and the remaining arguments."""
+    if argv[0] in RENAMED:
+        name = RENAMED[argv[0]]
+        print(f"aerial-gym: {argv[0]} is now called {name!r}; the old name works until release 0.3", file=sys.stderr)
+        return name, argv[1:]
+    pair = " ".join(argv[:2])
+    return (pair, argv[2:]) if pair in COMMANDS else (argv[0], argv[1:])
 
 
 def _parse(argv: Sequence[str]) -> Command | int:
@@ -65,24 +75,34 @@ def _parse(argv: Sequence[str]) -> Command | int:
     if argv[0] == "--version":
         print(f"aerial-gym {__version__}")
         return 0
-    if argv[0] not in COMMANDS:
-        print(f"aerial-gym: no command {argv[0]!r}. Known: {', '.join(COMMANDS)}", file=sys.stderr)
-        return 2
-    command = COMMANDS[argv[0]].load()
+    name, options = _split(argv)
+    if name not in COMMANDS:
+        return _refuse(name, options)
+    command = COMMANDS[name].load()
     if hasattr(command, "parse"):
-        return command.parse(argv[1:])
+        return command.parse(options)
     import tyro
 
-    return tyro.cli(command, args=argv[1:], prog=f"aerial-gym {argv[0]}")
+    return tyro.cli(command, args=options, prog=f"aerial-gym {name}")
+
+
+def _refuse(name: str, options: Sequence[str]) -> int:
+    """Print the verbs of a noun, or the known commands; return the exit status."""
+    if any(known.startswith(f"{name} ") for known in COMMANDS):
+        asked = bool(options) and options[0] in ("-h", "--help")
+        print(_overview(f"{name} "), file=sys.stdout if asked else sys.stderr)
+        return 0 if asked else 2
+    print(f"aerial-gym: no command {name!r}. Known: {', '.join(COMMANDS)}", file=sys.stderr)
+    return 2
 
 
 def _is_read() -> bool:
-    """Return whether anybody reads what is printed; ``| head`` that has enough does not, and nothing is said then."""
+    """Return whether stdout has a reader; ``| head`` closes it early, and then nothing is printed."""
     out = select.poll()
     out.register(sys.stdout.fileno(), 0)
     if not any(event & select.POLLERR for _, event in out.poll(0)):
         return True
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what is flushed at the end
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # receives the last flush
     return False
 
 

@@ -1,4 +1,4 @@
-"""``aerial-gym tune``: gains of a robot from a bandwidth and a damping."""
+"""``aerial-gym robot tune``: gains of a robot from a bandwidth and a damping."""
 
 import json
 from dataclasses import dataclass

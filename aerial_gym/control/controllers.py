@@ -121,7 +121,7 @@ class LeeController:
         if law.lateral and not bool((self.allocation.given > 0.999).all()):
             raise ConfigError(
                 f"law {cfg.law!r}: pushes sideways without leaning, and the rotors of this vehicle do not. Take "
-                "lee_position_control, or a robot with rotors that point in several directions (aerial-gym check: rank 6)"
+                "lee_position_control, or a robot with rotors that point in several directions (aerial-gym robot check: rank 6)"
             )
         self.gains = gains_for(cfg, control, vehicle, self.allocation, gravity=gravity, dt=dt)
 

@@ -2,9 +2,9 @@
 
     python -m benchmarks.control.robot_table [--write docs/robots.md] [--robots NAME ...]
 
-A row for each robot that flies differently, from ``aerial-gym check``: hover and authority follow from the file; the largest
-stable time steps are flown (8 disturbed starts a time step, 60 s and 400 steps each, backend `auto` on the CPU). Robots that
-bend are taken as rigid in their reference pose, as the check takes them, and stand once for all modes of their drives.
+One row for each robot with its own flight behaviour, by ``aerial-gym robot check``. Hover and authority follow from the file.
+The largest stable time steps are flown: 8 disturbed starts a time step, 60 s and 400 steps each, backend `auto` on the CPU.
+Robots with joints count as rigid in their reference pose, and have one row for all modes of their drives.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""``aerial-gym check`` and ``import-robot``: what they print, draw, write and return."""
+"""``aerial-gym robot``: output, pictures, files and exit status of its verbs."""
 
 import json
 from dataclasses import replace
@@ -16,7 +16,7 @@ from tests.unit.robots.importers.files import x500
 
 
 def test_a_robot_by_name_as_json(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check", "lmf1", "x500", "--controllers", "lee_rates_control", "no_control", "--json"]) == 0
+    assert main(["robot", "check", "lmf1", "x500", "--controllers", "lee_rates_control", "no_control", "--json"]) == 0
     first, second = map(json.loads, capsys.readouterr().out.splitlines())
     assert (first["name"], second["name"]) == ("lmf1", "x500")
     assert first["thrust_to_weight"] == pytest.approx(80.0 / (1.235 * 9.81))
@@ -40,7 +40,7 @@ def test_the_time_step_that_is_named_has_the_gain_margin(monkeypatch: pytest.Mon
 def test_a_file_with_a_picture(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path, picture = tmp_path / "mine.yaml", tmp_path / "rotors.png"
     path.write_text(dump_yaml(ROBOTS.get("neural_fly_quad")), encoding="utf-8")
-    assert main(["check", str(path), "--no-fly", "--picture", str(picture)]) == 0
+    assert main(["robot", "check", str(path), "--no-fly", "--picture", str(picture)]) == 0
     out = capsys.readouterr().out
     assert "note: nothing turns it about z at hover" in out
     assert "thrust to weight" in out
@@ -50,16 +50,16 @@ def test_a_file_with_a_picture(capsys: pytest.CaptureFixture[str], tmp_path: Pat
 def test_one_that_cannot_hover_ends_with_status_1(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     robot, path = ROBOTS.get("lmf1"), tmp_path / "heavy.yaml"
     path.write_text(dump_yaml(replace(robot, body=replace(robot.body, mass=9.0))), encoding="utf-8")
-    assert main(["check", str(path)]) == 1
+    assert main(["robot", "check", str(path)]) == 1
     assert "problem: to hover, rotor 1 must give 22.1 N" in " ".join(capsys.readouterr().out.split())
 
 
 def test_one_that_cannot_be_ends_with_status_2(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "impossible.yaml"
     path.write_text(dump_yaml(ROBOTS.get("lmf1")).replace("0.013804", "0.1"), encoding="utf-8")
-    assert main(["check", str(path)]) == 2
+    assert main(["robot", "check", str(path)]) == 2
     assert "check digits and units" in capsys.readouterr().err
-    assert main(["check", "lmf1", "x500", "--picture", "both.png"]) == 2
+    assert main(["robot", "check", "lmf1", "x500", "--picture", "both.png"]) == 2
     assert "--picture takes one robot" in capsys.readouterr().err
 
 
@@ -67,11 +67,11 @@ def test_a_model_of_gazebo_becomes_a_file_that_can_be_checked(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     model, out = x500(tmp_path), tmp_path / "mine.yaml"
-    assert main(["import-robot", str(model), "--out", str(out), "--summary", "mine"]) == 0
+    assert main(["robot", "import", str(model), "--out", str(out), "--summary", "mine"]) == 0
     captured = capsys.readouterr()
     assert captured.out == f"{out}\n"
     assert captured.err.startswith("left out: rollingMomentCoefficient")
-    assert main(["check", str(out), "--no-fly", "--json"]) == 0
+    assert main(["robot", "check", str(out), "--no-fly", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["summary"] == "mine"
     assert report["thrust_to_weight"] == pytest.approx(4.0 * 8.54858 / (2.0643076923 * 9.81))
@@ -80,16 +80,16 @@ def test_a_model_of_gazebo_becomes_a_file_that_can_be_checked(
 def test_a_file_that_is_no_vehicle_ends_with_status_2(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "page.xml"
     path.write_text("<html/>", encoding="utf-8")
-    assert main(["import-robot", str(path), "--out", str(tmp_path / "out.yaml")]) == 2
+    assert main(["robot", "import", str(path), "--out", str(tmp_path / "out.yaml")]) == 2
     assert "must be <robot> (URDF), <mujoco> (MJCF) or <sdf> (SDF)" in capsys.readouterr().err
 
 
 def test_a_vehicle_that_bends_is_said_to_be_taken_as_rigid(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check", "morphy", "--no-fly"]) == 0
+    assert main(["robot", "check", "morphy", "--no-fly"]) == 0
     out = " ".join(capsys.readouterr().out.split())
     assert "note: its joints (elevation_1, azimuth_1" in out
     assert "hover, authority and time steps are those of a vehicle that does not bend" in out
-    assert main(["tune", "morphy", "--attitude-hz", "1", "--position-hz", "0.2"]) == 0
+    assert main(["robot", "tune", "morphy", "--attitude-hz", "1", "--position-hz", "0.2"]) == 0
     assert "# its joints (elevation_1" in capsys.readouterr().out
-    assert main(["check", "morphy_stiff", "--no-fly"]) == 0
+    assert main(["robot", "check", "morphy_stiff", "--no-fly"]) == 0
     assert "joints" not in capsys.readouterr().out

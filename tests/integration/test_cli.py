@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from aerial_gym import __version__
-from aerial_gym.cli.main import COMMANDS, main
+from aerial_gym.cli.main import COMMANDS, RENAMED, main
 from aerial_gym.config import CONFIG_DIR
 from aerial_gym.env_manager import SIMS
 from aerial_gym.errors import ConfigError
@@ -37,7 +37,7 @@ def test_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> N
 
 @pytest.mark.parametrize("name", list(COMMANDS))
 def test_every_command_explains_its_options(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    status, out, _ = run(capsys, name, "--help")
+    status, out, _ = run(capsys, *name.split(), "--help")
     assert status == 0
     assert "usage" in out.lower()
 
@@ -123,7 +123,7 @@ def test_parts_of_tasks_are_listed_with_a_line_each(kind: str, name: str, capsys
 @pytest.mark.parametrize(
     ("argv", "message"),
     [
-        (("lst",), "no command 'lst'. Known: list, check, import-robot, tune, train"),
+        (("lst",), "no command 'lst'. Known: list, robot import, robot check, robot tune, train"),
         (("list", "robts"), "no kind 'robts'. Known: sims"),
         (
             ("train", "--task", "position_setpoint_tsk"),
@@ -147,6 +147,21 @@ def test_wrong_requests_end_with_status_2_and_one_sentence(
     assert out == ""
     assert message in err
     assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(("old", "new"), RENAMED.items())
+def test_a_renamed_command_warns_and_runs(old: str, new: str, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, err = run(capsys, old, "--help")
+    assert status == 0
+    assert new in err
+    assert f"usage: aerial-gym {new}" in out
+
+
+@pytest.mark.parametrize(("argv", "expected"), [(("robot",), 2), (("robot", "fly"), 2), (("robot", "--help"), 0)])
+def test_a_noun_lists_its_verbs(argv: tuple[str, ...], expected: int, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, err = run(capsys, *argv)
+    assert status == expected
+    assert all(f"robot {verb}" in (err if expected else out) for verb in ("import", "check", "tune"))
 
 
 def test_what_is_material_is_handed_on(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

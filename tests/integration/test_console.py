@@ -48,7 +48,7 @@ def test_lists_errors_and_tables(encoding: str, monkeypatch: pytest.MonkeyPatch,
     robot.write_text(dump_yaml(ROBOT), encoding="utf-8")
     assert run(monkeypatch, encoding, "list").status == 0
     assert run(monkeypatch, encoding, "list", "effects").status == 0
-    found = run(monkeypatch, encoding, "check", "quad→²ü")
+    found = run(monkeypatch, encoding, "robot", "check", "quad→²ü")
     assert found.status == 2
     assert b"quad" in found.err
     assert b"Traceback" not in found.err

@@ -207,7 +207,7 @@ def _position_gains(
     if not least < hover < px4.MPC_THR_MAX:
         raise ConfigError(
             f"Px4Cfg: the hover thrust {hover:.3g} must be between MPC_THR_MIN = {least:.3g} and MPC_THR_MAX = "
-            f"{px4.MPC_THR_MAX:g}. Give others, or a robot with more thrust (aerial-gym check says how much it has)"
+            f"{px4.MPC_THR_MAX:g}. Give others, or a robot with more thrust (aerial-gym robot check says how much it has)"
         )
     return PositionGains(
         position=row(reach),

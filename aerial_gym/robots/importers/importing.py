@@ -69,7 +69,7 @@ class Imported:
 
     def as_file(self, name: str) -> str:
         """Return the text of the robot file; its first lines say what of the file ``name`` is not in it."""
-        lines = [f"Imported from {name} by aerial-gym import-robot.", *self.lines()]
+        lines = [f"Imported from {name} by aerial-gym robot import.", *self.lines()]
         return "".join(f"# {line}\n" for line in lines) + dump_yaml(self.robot)
 
 

@@ -42,7 +42,7 @@ def test_yaw_is_no_quicker_than_its_torque() -> None:
 
 
 def test_the_printed_control_loads_and_gives_the_gains(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["tune", "x500", "--attitude-hz", "1.0", "--position-hz", "0.15", "--dt-s", "0.004"]) == 0
+    assert main(["robot", "tune", "x500", "--attitude-hz", "1.0", "--position-hz", "0.15", "--dt-s", "0.004"]) == 0
     control = build(ControlCfg, yaml.safe_load(capsys.readouterr().out)["control"], where="printed")
     found = tune_robot(X500, name="x500", attitude=2.0 * pi, position=0.3 * pi, damping=0.8, dt=0.004).control
     vehicle = vehicle_from_config(X500, num_envs=1, dtype=torch.float64)

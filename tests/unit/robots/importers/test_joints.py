@@ -241,7 +241,7 @@ def test_what_cannot_be_taken_over_is_said(tmp_path: Path, capsys: pytest.Captur
         import_robot(path, RotorHints(rotors_of=ROBOTS.get("morphy_stiff"), spins=(1, -1, 1, -1), joints=True))
     path.write_text(morphy())
     out = tmp_path / "mine.yaml"
-    given = ["import-robot", str(path), "--joints", "--rotors-of", "morphy_stiff", "--spins", "1", "-1", "1", "-1"]
+    given = ["robot", "import", str(path), "--joints", "--rotors-of", "morphy_stiff", "--spins", "1", "-1", "1", "-1"]
     assert main([*given, "--out", str(out)]) == 0
     assert len(load_robot(out).joints.layout) == 8  # type: ignore[union-attr]
     assert capsys.readouterr().out == f"{out}\n"

@@ -88,8 +88,8 @@ def test_an_integrator_asks_for_a_lag_and_takes_it(tmp_path: Path) -> None:
     text = vehicle('ctrlrange="-30 60" dyntype="integrator" actrange="0 6" gainprm="0.5"')
     path, out = tmp_path / "robot.xml", tmp_path / "robot.yaml"
     path.write_text(text)
-    assert main(["import-robot", str(path), "--out", str(out)]) == 2
-    assert main(["import-robot", str(path), "--out", str(out), "--lag-s", "0.05"]) == 0
+    assert main(["robot", "import", str(path), "--out", str(out)]) == 2
+    assert main(["robot", "import", str(path), "--out", str(out), "--lag-s", "0.05"]) == 0
     rotor = load_robot(out).the_rotor("a test")
     assert (rotor.time_constant_up, rotor.thrust_range) == (0.05, (0.0, 3.0))
     assert (rotor.slew_rate, rotor.slew_rate_down) == (30.0, 15.0)
@@ -228,7 +228,7 @@ def test_what_is_not_used_is_named_once(tmp_path: Path, capsys: pytest.CaptureFi
     text = text.replace("<worldbody>", '<worldbody><geom name="floor" type="plane" size="1 1 1"/>')
     path, out = tmp_path / "robot.xml", tmp_path / "robot.yaml"
     path.write_text(text)
-    assert main(["import-robot", str(path), "--out", str(out), "--lag-s", "0.05"]) == 0
+    assert main(["robot", "import", str(path), "--out", str(out), "--lag-s", "0.05"]) == 0
     said = capsys.readouterr().err.splitlines()
     for name in ("eye", "lamp", "skin", "pan", "gyro", "hover", "servo", "damping", "biasprm[2]", "floor", "spare"):
         assert sum(name in line for line in said) == 1, name

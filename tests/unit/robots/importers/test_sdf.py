@@ -323,10 +323,10 @@ def test_wings_and_tilting_joints_are_losses(
 ) -> None:
     """Refused with status 2 and nothing written, unless the loss is accepted."""
     path, out = write(tmp_path, m=vehicle(more=more, parent=parent)), tmp_path / "m.yaml"
-    assert main(["import-robot", str(path), "--out", str(out)]) == 2
+    assert main(["robot", "import", str(path), "--out", str(out)]) == 2
     assert not out.exists()
     capsys.readouterr()
-    assert main(["import-robot", str(path), "--out", str(out), "--accept-losses"]) == 0
+    assert main(["robot", "import", str(path), "--out", str(out), "--accept-losses"]) == 0
     assert isinstance(load_robot(out), RobotCfg)
     name = "tilt" if "tilt" in more else re.findall(r'name="([^"]*)"', more)[0]
     assert sum(name in line for line in capsys.readouterr().err.splitlines()) == 1
@@ -349,7 +349,7 @@ def test_what_is_not_used_is_named_once_on_stderr_and_in_the_file(
     )
     text = vehicle(base, GIMBAL + control + '<link name="pod"/>', rotor_more="<limit><effort>3</effort></limit>")
     path, out = write(tmp_path, m=text), tmp_path / "m.yaml"
-    assert main(["import-robot", str(path), "--out", str(out)]) == 0
+    assert main(["robot", "import", str(path), "--out", str(out)]) == 0
     said = capsys.readouterr().err.splitlines()
     names = (
         "front",
@@ -396,7 +396,7 @@ def test_broken_files_are_refused(models: dict[str, str], tmp_path: Path) -> Non
     path = write(tmp_path, **models)
     if "two" in models:
         path = tmp_path / "one" / "model.sdf"
-    assert main(["import-robot", str(path), "--out", str(tmp_path / "out.yaml")]) == 2
+    assert main(["robot", "import", str(path), "--out", str(tmp_path / "out.yaml")]) == 2
 
 
 def test_the_frame_of_the_canonical_link_is_that_of_the_body(tmp_path: Path) -> None:

@@ -106,7 +106,7 @@ FIXED_WING = WING.replace("libLiftDragPlugin", "librotors_gazebo_fw_dynamics_plu
 def test_wings_and_tilting_joints_are_losses(text: str, tmp_path: Path) -> None:
     path, out = tmp_path / "robot.urdf", tmp_path / "robot.yaml"
     path.write_text(text)
-    given = ["import-robot", str(path), "--out", str(out), "--lag-s", "0.05", "--spins", "1", "-1", "1", "-1"]
+    given = ["robot", "import", str(path), "--out", str(out), "--lag-s", "0.05", "--spins", "1", "-1", "1", "-1"]
     assert main(given) == 2
     assert not out.exists()
     assert main([*given, "--accept-losses"]) == 0
@@ -156,7 +156,7 @@ def test_what_is_not_used_is_named_once(tmp_path: Path, capsys: pytest.CaptureFi
     path.write_text(
         text.replace('<visual name="skin"/>', '<visual name="skin"><geometry><sphere radius="1"/></geometry></visual>')
     )
-    given = ["import-robot", str(path), "--out", str(out), "--lag-s", "0.05", "--spins", "1", "-1", "1", "-1"]
+    given = ["robot", "import", str(path), "--out", str(out), "--lag-s", "0.05", "--spins", "1", "-1", "1", "-1"]
     assert main(given) == 0
     said = capsys.readouterr().err.splitlines()
     for name in ("drive", "red", "eye", "mu1", "state", "skin", "arm"):
