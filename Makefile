@@ -6,7 +6,7 @@ BIN := .venv/bin
 # Compiled once: without this, where bytecode is not to be written, each process compiles PyTorch anew, which takes 7 s.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-slow golden golden-update kill-test fuzz undeclared lint format clean
+.PHONY: setup demo docs test test-slow golden golden-update kill-test fuzz undeclared lint format clean
 setup: .venv/ready
 
 .venv/ready: pyproject.toml constraints.txt
@@ -16,6 +16,10 @@ setup: .venv/ready
 
 demo: setup
 	$(BIN)/aerial-gym demo --out out/demo
+
+# The documentation site, with the generated reference: open site/index.html. Needs no network.
+docs: setup
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
 
 test: setup
 	$(BIN)/python -m pytest -n auto --dist worksteal
@@ -63,4 +67,4 @@ format: setup
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf .venv out runs train_dir build *.egg-info
+	rm -rf .venv out runs site train_dir build *.egg-info

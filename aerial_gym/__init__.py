@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from aerial_gym.sensors import SENSORS
     from aerial_gym.task import Task, task_registry
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "AERIAL_GYM_DIRECTORY",

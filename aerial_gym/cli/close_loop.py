@@ -41,10 +41,10 @@ class CloseLoopCmd:
     tolerances: Path | None = None
     """How well the robot is declared (.yaml): standard deviations of mass, thrust, inertia, time_constant, com, acc_bias,
     gyro_bias, acc_of_flight, attitude, sensor_delay, acc_scale, imu_place, nominal_voltage, command_hold, joint_rest;
-    those that are left out stay as docs/close_loop.md says."""
+    those that are left out stay as docs/guides/identify_from_flights.md says."""
 
     effects: tuple[str, ...] | None = None
-    """Effects that are looked for; if not given all but blade_element and vortex_ring (docs/rotors.md)."""
+    """Effects that are looked for; if not given all but blade_element and vortex_ring (docs/concepts/rotors.md)."""
 
     material: float = 0.05
     """An effect is named if a residual rises by this share without it, or may: its interval counts."""

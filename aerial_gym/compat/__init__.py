@@ -1,7 +1,7 @@
 """Scripts of the Aerial Gym Simulator on this simulator: its module paths, classes, registries and tensor keys.
 
 A thin layer: names are translated, rules stay where they are. A script runs with its ``isaacgym`` imports removed, by hand or
-by ``python -m aerial_gym.compat SCRIPT.py``. ``docs/coming_from_aerial_gym.md`` has all names side by side.
+by ``python -m aerial_gym.compat SCRIPT.py``. ``docs/guides/coming_from_aerial_gym.md`` has all names side by side.
 
 ``modules``: import paths. ``sim_builder``, ``env_manager``, ``tensors``, ``registries``, ``base_task``, ``registered_task``:
 what scripts call. ``config``: configuration classes. ``math``, ``logs``, ``arguments``: helpers. ``page``: the table of names.

@@ -109,7 +109,7 @@ class EnvManager:
     def __getattr__(self, name: str) -> NoReturn:
         raise AttributeError(
             f"EnvManager of aerial_gym.compat has no {name!r}. The simulation itself is .env, its tensors are .env.gtd; "
-            "docs/coming_from_aerial_gym.md has a table of names"
+            "docs/guides/coming_from_aerial_gym.md has a table of names"
         )
 
 

@@ -18,4 +18,4 @@ class CustomLogger(logging.LoggerAdapter):
 
     def print_example_message(self) -> None:
         """Say that an example begins."""
-        self.info("An example in the manner of the Aerial Gym Simulator; see docs/coming_from_aerial_gym.md")
+        self.info("An example in the manner of the Aerial Gym Simulator; see docs/guides/coming_from_aerial_gym.md")

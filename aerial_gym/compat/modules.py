@@ -182,7 +182,8 @@ class _Loader(Loader):
             if name not in names:
                 known = ", ".join(names) or "none"
                 raise AttributeError(
-                    f"module {module.__name__!r} has no {name!r} here. Known: {known}. See docs/coming_from_aerial_gym.md"
+                    f"module {module.__name__!r} has no {name!r} here. Known: {known}. "
+                    "See docs/guides/coming_from_aerial_gym.md"
                 )
             value = resolve(names[name])
             setattr(module, name, value)
@@ -208,7 +209,7 @@ class _Finder(MetaPathFinder):
             if name == gone or name.startswith(f"{gone}."):
                 raise ModuleNotFoundError(
                     f"No module named {fullname!r}: it is the Aerial Gym Simulator's and has no counterpart here: {way_out}. "
-                    "See docs/coming_from_aerial_gym.md",
+                    "See docs/guides/coming_from_aerial_gym.md",
                     name=fullname,
                 )
         return None

@@ -58,7 +58,7 @@ class _Loader(Loader):
         def missing(name: str) -> NoReturn:
             raise AttributeError(
                 f"{module.__name__}.{name}: there is no Isaac Gym here. What scripts ask it for is in global_tensor_dict; see "
-                "docs/coming_from_aerial_gym.md"
+                "docs/guides/coming_from_aerial_gym.md"
             )
 
         module.__dict__.update(__getattr__=missing, __all__=[])

@@ -251,7 +251,7 @@ class JointsCfg:
         """Return how a command says that it takes the vehicle as rigid, and what follows from that."""
         return (
             f"its joints ({', '.join(self.names)}) are held in the reference pose here, and the vehicle taken as rigid: "
-            f"{consequence} (docs/joints.md)"
+            f"{consequence} (docs/guides/articulated_vehicles.md)"
         )
 
     def link_of(self, name: str) -> int:

@@ -221,7 +221,7 @@ class RobotCfg:
     """What a reset draws from."""
 
     randomize: Mapping[str, RandomizeCfg] = field(default_factory=dict)
-    """What a reset draws anew in each environment, by the names of quantities (``docs/randomisation.md``)."""
+    """What a reset draws anew in each environment, by the names of quantities (``docs/guides/randomise.md``)."""
 
     battery: BatteryCfg | None = None
     """The battery; only effects that depend on it need it."""

@@ -92,14 +92,14 @@ class CurriculumCfg:
 
 @dataclass(frozen=True, kw_only=True)
 class TaskCfg:
-    """A task: configuration of terms (``docs/tasks.md``)."""
+    """A task: configuration of terms (``docs/guides/own_task.md``)."""
 
     MOVED: ClassVar[Mapping[str, str]] = {
         "target": "give command: {generator: point, params: {position: [x, y, z]}}",
         "target_ratio_low": "give command: {generator: drawn_point, params: {low: [...], high: [...]}}",
         "target_ratio_high": "give command: {generator: drawn_point, params: {low: [...], high: [...]}}",
         "action_params": "give action: {transform: NAME, params: {...}}",
-        "reward": "give rewards: {NAME: {term: ..., weight: ..., params: {...}}, ...}, a sum of terms (docs/tasks.md)",
+        "reward": "give rewards: {NAME: {term: ..., weight: ..., params: {...}}, ...}, a sum of terms",
         "reward_params": "each of the rewards has params of its own; that of a crash is crash_reward: {value: ...}",
         "max_distance": "give terminations: {NAME: {term: far_from_target, kind: crash, params: {distance: ...}}}",
         "success_radius": (

@@ -150,7 +150,7 @@ def in_steady_wind(model: Model, velocity: Tensor) -> Model:
 
 
 def check_rotors(effect: Effect | type[Effect], traits: Set[str]) -> None:
-    """Raise ``ConfigError`` if rotors are of a kind that an effect cannot act on (``docs/rotors.md``)."""
+    """Raise ``ConfigError`` if rotors are of a kind that an effect cannot act on (``docs/concepts/rotors.md``)."""
     if missing := sorted(traits - set(effect.rotors)):
         raise ConfigError(
             f"effect {effect.name}: its law does not hold for {_TRAIT_WORDS[missing[0]]}. Leave the effect out, or give the "
@@ -159,7 +159,7 @@ def check_rotors(effect: Effect | type[Effect], traits: Set[str]) -> None:
 
 
 def check_joints(effect: Effect | type[Effect], *, bends: bool) -> None:
-    """Raise ``ConfigError`` if a vehicle that bends, or one that does not, cannot have an effect (``docs/joints.md``)."""
+    """Raise ``ConfigError`` if an effect does not fit a vehicle with joints, or one without."""
     others = " or ".join(", ".join(effect.instead).rsplit(", ", 1))
     if not bends and not effect.on_rigid:
         way_out = f"Give it {others}, or joints" if others else "Give it joints"

@@ -50,7 +50,7 @@ def check_names(cfg: Randomize, known: Sequence[str]) -> None:
     for name in cfg:
         if name not in known:
             raise ConfigError(
-                f"randomize: no quantity {name!r}.{did_you_mean(name, known)} docs/randomisation.md lists them"
+                f"randomize: no quantity {name!r}.{did_you_mean(name, known)} docs/guides/randomise.md lists them"
             )
 
 

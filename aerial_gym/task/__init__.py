@@ -1,4 +1,4 @@
-"""Tasks for reinforcement learning: configuration of terms (``docs/tasks.md``)."""
+"""Tasks for reinforcement learning: configuration of terms (``docs/guides/own_task.md``)."""
 
 from typing import TYPE_CHECKING
 

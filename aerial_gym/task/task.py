@@ -262,7 +262,7 @@ class Task:
         return self._observed(), {}
 
     def practise(self) -> None:
-        """Let episodes begin as the command wants them for a training (``docs/tasks.md``), from the next resets on."""
+        """Start episodes at the command's places of practice, from the next resets on."""
         self._command.practise()
 
     def stagger(self) -> None:

@@ -175,7 +175,7 @@ class MujocoBackend(TorchBackend):
 class MujocoWarpBackend(MujocoBackend):
     """MuJoCo Warp on the CPU, in float32: as backend ``mujoco``, with the engine that NVIDIA's GPUs run.
 
-    It has not been run on a GPU, so that it does not claim to; see ``docs/backends.md``.
+    It has not been run on a GPU, so that it does not claim to; see ``docs/guides/own_backend.md``.
     """
 
     name = "mujoco_warp"

@@ -49,7 +49,9 @@ def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = 
     delays = sorted({one.delay for one in pushing})
     delayed = len(delays) == 1 and delays[0] > 0.0
     left = [one.name for one in actuators if one not in pushing]
-    what = "actuators" + (" (drives of joints are written by hand, docs/joints.md)" if joints else "")
+    what = "actuators" + (
+        " (drives of joints are written by hand, docs/guides/articulated_vehicles.md)" if joints else ""
+    )
     return Found(
         body=reader.body(),
         rotors=[one.rotor(reader.site(one.site), lag, reader.carrier(model.site_bodyid[one.site])) for one in pushing],

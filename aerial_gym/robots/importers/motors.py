@@ -111,7 +111,7 @@ def _motor(plugin: ElementTree.Element, scope: str, where: str) -> Motor:
     if kind != "velocity" or turning not in SPINS:
         raise ConfigError(
             f"{at}: motorType {kind!r}, turningDirection {turning!r}: only motors whose speed is commanded (velocity) and that "
-            "turn one way (ccw or cw) can be imported. Write the robot file by hand (docs/rotors.md)"
+            "turn one way (ccw or cw) can be imported. Write the robot file by hand (docs/concepts/rotors.md)"
         )
     order = number(plugin.findtext("motorNumber"), 0.0, f"{at}: motorNumber")
     if not order.is_integer():

@@ -27,7 +27,7 @@ LEAP_S = 0.2
 """A velocity is the median of so much around each row [s]."""
 
 LEAST = 0.1
-"""Smaller jumps [m] move nothing that is compared: velocities that were wrong for 0.3 s made 0.06 m (docs/close_loop.md)."""
+"""Smallest jump [m] that is corrected: wrong velocities over 0.3 s made 0.06 m in one measured flight."""
 
 AROUND_S = 3.0
 """Before and after each row differences are taken for how large they are there [s]."""

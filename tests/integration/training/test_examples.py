@@ -160,10 +160,10 @@ def test_what_no_law_flies_is_learned(told: Told, tmp_path: Path, name: str) -> 
 
 def test_each_task_has_an_example_of_less_than_sixty_lines() -> None:
     """Each is named in the row, or the sentence, of the page of tasks that links to the file."""
-    page = (EXAMPLES.parent / "docs" / "tasks.md").read_text(encoding="utf-8")
+    page = (EXAMPLES.parent / "docs" / "guides" / "own_task.md").read_text(encoding="utf-8")
     for name in TASKS:
         lines = [line for line in page.splitlines() if f"`{name}`" in line and "../examples/tasks/" in line]
-        assert lines, f"{name}: docs/tasks.md links to no example of it"
+        assert lines, f"{name}: docs/guides/own_task.md links to no example of it"
         for file in re.findall(r"\.\./examples/(tasks/\w+\.py)", " ".join(lines)):
             assert len((EXAMPLES / file).read_text(encoding="utf-8").splitlines()) < 60, file
 

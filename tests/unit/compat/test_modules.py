@@ -23,7 +23,9 @@ def test_every_path_gives_its_names(path: str) -> None:
 @pytest.mark.parametrize("path", GONE)
 def test_what_is_gone_says_what_to_do(path: str) -> None:
     """The way out is not empty, and no real module of this package hides behind the message."""
-    with pytest.raises(ModuleNotFoundError, match="has no counterpart here: .+ See docs/coming_from_aerial_gym.md"):
+    with pytest.raises(
+        ModuleNotFoundError, match="has no counterpart here: .+ See docs/guides/coming_from_aerial_gym.md"
+    ):
         import_module(f"aerial_gym.{path}.anything_at_all")
 
 

@@ -8,7 +8,7 @@ import pytest
 from aerial_gym.compat.names import METHODS, Name
 from aerial_gym.compat.page import with_names
 
-PAGE = Path(__file__).parents[3] / "docs" / "coming_from_aerial_gym.md"
+PAGE = Path(__file__).parents[3] / "docs" / "guides" / "coming_from_aerial_gym.md"
 
 
 def test_the_page_is_made_from_the_tables() -> None:

@@ -1,4 +1,4 @@
-"""docs/backends.md: its table says what the backends say, and its example of a backend runs."""
+"""docs/guides/own_backend.md: its table says what the backends say, and its example of a backend runs."""
 
 import re
 from pathlib import Path
@@ -7,7 +7,7 @@ import torch
 
 from aerial_gym.physics import BACKENDS
 
-PAGE = (Path(__file__).parents[3] / "docs" / "backends.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs" / "guides" / "own_backend.md").read_text(encoding="utf-8")
 
 
 def test_the_table_is_that_of_the_code() -> None:
@@ -29,7 +29,7 @@ def test_the_example_of_a_backend_moves_vehicles_along_their_wires() -> None:
     kept = dict(BACKENDS._entries)
     try:
         names: dict = {}
-        exec(compile(code, "docs/backends.md", "exec"), names)
+        exec(compile(code, "docs/guides/own_backend.md", "exec"), names)
     finally:
         BACKENDS._entries = kept
     velocity, turning = names["env"].gtd["robot_linvel"], names["env"].gtd["robot_body_angvel"]

@@ -1,11 +1,11 @@
-"""The table of docs/rotors.md says what the effects say."""
+"""The table of docs/concepts/rotors.md says what the effects say."""
 
 import re
 from pathlib import Path
 
 from aerial_gym.physics import EFFECTS
 
-PAGE = Path(__file__).parents[3] / "docs" / "rotors.md"
+PAGE = Path(__file__).parents[3] / "docs" / "concepts" / "rotors.md"
 
 
 def test_the_table_of_effects_is_that_of_the_code() -> None:

@@ -1,10 +1,10 @@
-"""The table of docs/randomisation.md is the one that the code prints."""
+"""The table of docs/guides/randomise.md is the one that the code prints."""
 
 from pathlib import Path
 
 from aerial_gym.robots.quantities import table
 
-PAGE = Path(__file__).parents[3] / "docs" / "randomisation.md"
+PAGE = Path(__file__).parents[3] / "docs" / "guides" / "randomise.md"
 
 
 def test_the_page_holds_the_table_of_all_names() -> None:

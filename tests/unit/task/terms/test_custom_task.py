@@ -58,9 +58,9 @@ def test_a_file_that_fails_can_be_mended(tmp_path: Path) -> None:
 
 
 def test_the_task_of_the_page_flies() -> None:
-    text = (ROOT / "docs" / "tasks.md").read_text()
+    text = (ROOT / "docs" / "guides" / "own_task.md").read_text()
     block = text.split("```yaml\n")[1].split("```")[0]
-    cfg = build(TaskCfg, yaml.safe_load(block), where="docs/tasks.md")
+    cfg = build(TaskCfg, yaml.safe_load(block), where="docs/guides/own_task.md")
     task = built(cfg, 2)
     obs, _ = task.reset()
     assert obs["observations"].shape == (2, 3 + 4 + 3 + 9)

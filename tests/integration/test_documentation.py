@@ -1,0 +1,194 @@
+"""README and site: code blocks run, links resolve, pages are reachable, and the site needs no network.
+
+A block of language ``python`` or ``sh`` runs, block after block, in one folder for each page. A comment in front of a block
+changes this: ``<!-- file: NAME -->`` writes it to a file, ``<!-- slow -->`` leaves it to the slow suite, and
+``<!-- not run: REASON -->`` leaves it out. Pages of results name commands for other machines, so that only blocks with
+``<!-- compare -->`` run there: the slow suite compares their output with the page.
+"""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from dataclasses import dataclass
+from glob import glob
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from aerial_gym.cli.main import main
+from aerial_gym.physics import BACKENDS, EFFECTS
+from aerial_gym.task import OBSERVATIONS, REWARDS, TERMINATIONS
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
+MARKS = ("slow", "compare", "file: ", "not run: ")
+REGISTRIES = (BACKENDS, EFFECTS, OBSERVATIONS, REWARDS, TERMINATIONS)
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block of a page."""
+
+    page: Path
+    mark: str
+    language: str
+    text: str
+
+    @property
+    def runs(self) -> bool:
+        """Whether a test runs it, here or in the slow suite."""
+        if self.is_result:
+            return self.mark == "compare"
+        return (self.language in ("python", "sh") and not self.mark.startswith("not run: ")) or self.mark.startswith(
+            "file: "
+        )
+
+    @property
+    def is_result(self) -> bool:
+        """Whether it stands on a page of results."""
+        return DOCS / "results" in self.page.parents
+
+
+def blocks_of(page: Path) -> list[Block]:
+    fences = r"(?:^ *<!-- ([^\n]*?) -->\n+)?^ *```(\w*)[^\n]*\n(.*?)^ *```"
+    found = re.findall(fences, page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    return [Block(page, mark if mark.startswith(MARKS) else "", language, text) for mark, language, text in found]
+
+
+def name_of(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def pages_with(mark: str) -> list[Path]:
+    return [page for page in PAGES if any(block.runs and block.mark == mark for block in blocks_of(page))]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return an empty working folder with the examples and benchmarks of the repository; registries are restored."""
+    for name in ("examples", "benchmarks"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    for registry in REGISTRIES:
+        monkeypatch.setattr(registry, "_entries", dict(registry._entries))
+    return tmp_path
+
+
+def run_commands(text: str) -> None:
+    for line in text.replace("\\\n", " ").splitlines():
+        program, *words = shlex.split(line, comments=True) or [""]
+        words = [path for word in words for path in (sorted(glob(word)) if "*" in word else [word])]
+        if program == "aerial-gym":
+            assert main(words) == 0, line
+        elif program == "python":
+            subprocess.run([sys.executable, *words], check=True)
+        else:
+            assert not program, f"{line}: give the block the mark 'not run: REASON'"
+
+
+def run_page(page: Path, *, slow: bool) -> None:
+    names: dict = {"__name__": "__main__"}
+    for block in filter(lambda block: block.runs, blocks_of(page)):
+        if block.mark.startswith("file: "):
+            path = Path(block.mark.removeprefix("file: "))
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(block.text, encoding="utf-8")
+        elif block.mark == "slow" and not slow:
+            continue
+        elif block.language == "python":
+            exec(compile(block.text, name_of(page), "exec"), names)
+        else:
+            run_commands(block.text)
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if any(b.runs for b in blocks_of(page))], ids=name_of)
+@pytest.mark.usefixtures("folder")
+def test_blocks_of_a_page_run(page: Path) -> None:
+    run_page(page, slow=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", pages_with("slow"), ids=name_of)
+@pytest.mark.usefixtures("folder")
+def test_all_blocks_of_a_page_run(page: Path) -> None:
+    run_page(page, slow=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", pages_with("compare"), ids=name_of)
+@pytest.mark.usefixtures("folder")
+def test_figures_of_a_page_are_those_of_its_command(page: Path) -> None:
+    """Every number that the command prints stands on the page, in the same order."""
+    numbers = r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
+    text = re.findall(numbers, page.read_text(encoding="utf-8"))
+    for block in blocks_of(page):
+        if block.mark == "compare":
+            command = shlex.split(block.text.replace("\\\n", " "))
+            done = subprocess.run([sys.executable, *command[1:]], check=True, capture_output=True, text=True)
+            rest = iter(text)
+            missing = [number for number in re.findall(numbers, done.stdout) if number not in rest]
+            assert not missing, f"{name_of(page)}: printed by {block.text}, but not on the page: {missing[:5]}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_every_block_names_its_language(page: Path) -> None:
+    assert all(block.language for block in blocks_of(page))
+
+
+class External(HTMLParser):
+    """Collects what a page loads from a network."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.urls: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = dict(attrs)
+        loads = tag in ("script", "img", "iframe", "source") or (tag == "link" and values.get("rel") != "canonical")
+        urls = (values.get("src"), values.get("href")) if loads else ()
+        self.urls += [url for url in urls if url and url.startswith(("http:", "https:", "//"))]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the built site; the build is strict, so that each link and each page of the navigation resolves."""
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(folder)]
+    subprocess.run(command, check=True, cwd=ROOT, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"})
+    return folder
+
+
+def test_the_site_loads_nothing_from_a_network(site: Path) -> None:
+    found = {}
+    for page in site.rglob("*.html"):
+        parser = External()
+        parser.feed(page.read_text(encoding="utf-8"))
+        if parser.urls:
+            found[page.name] = parser.urls
+    styles = (path.read_text(encoding="utf-8") for path in site.rglob("*.css"))
+    assert not found
+    assert not any(re.search(r"(url\(|@import)\s*[\"']?(https?:)?//", style) for style in styles)
+
+
+def test_every_page_can_be_searched(site: Path) -> None:
+    index = (site / "search" / "search_index.js").read_text(encoding="utf-8")
+    for page in DOCS.rglob("*.md"):
+        assert f'"location":"{page.relative_to(DOCS).with_suffix(".html").as_posix()}"' in index
+
+
+def test_the_reference_has_every_name(site: Path) -> None:
+    """Names come from the registries themselves, each with its heading."""
+    robots = (site / "reference" / "robots.html").read_text(encoding="utf-8")
+    assert 'id="base_quadrotor"' in robots
+    assert (site / "reference" / "pictures" / "base_quadrotor.svg").is_file()
+
+
+def test_every_configuration_class_is_in_the_reference() -> None:
+    from docs.generate.configuration import configuration_classes, documented_classes
+
+    assert configuration_classes() <= documented_classes()
