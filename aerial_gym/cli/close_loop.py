@@ -44,7 +44,7 @@ class CloseLoopCmd:
     those that are left out stay as docs/guides/identify_from_flights.md says."""
 
     effects: tuple[str, ...] | None = None
-    """Effects that are looked for; if not given all but blade_element and vortex_ring (docs/concepts/rotors.md)."""
+    """Effects that are looked for; if not given all but blade_element and vortex_ring (docs/results/propellers.md)."""
 
     material: float = 0.05
     """An effect is named if a residual rises by this share without it, or may: its interval counts."""

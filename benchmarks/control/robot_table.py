@@ -1,6 +1,6 @@
-"""What can every registered robot do? The tables of ``docs/guides/own_robot.md``.
+"""What can every registered robot do? The tables of ``docs/results/robots.md``.
 
-    python -m benchmarks.control.robot_table [--write docs/guides/own_robot.md] [--robots NAME ...]
+    python -m benchmarks.control.robot_table [--write docs/results/robots.md] [--robots NAME ...]
 
 One row for each robot with its own flight behaviour, by ``aerial-gym robot check``. Hover and authority follow from the file.
 The largest stable time steps are flown: 8 disturbed starts a time step, 60 s and 400 steps each, backend `auto` on the CPU.

@@ -2,7 +2,7 @@
 
 Their drives hold no more than 0.3 N m in roll. Four and five rods stay a polygon; six, or any whose drives are told rates, give
 way while they hover: rods that twist by the differing thrusts of a yaw command turn the torque of six about z around
-(docs/guides/articulated_vehicles.md). Drives reach their limit only after that. Half the step gives way at the same time:
+(docs/results/joints.md). Drives reach their limit only after that. Half the step gives way at the same time:
 the vehicle causes it, not the method.
 """
 

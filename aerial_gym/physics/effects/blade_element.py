@@ -29,7 +29,7 @@ depends on how blades are built, higher harmonics of flapping, a lag of the infl
 turning of the hub but for its velocity.
 
 In a climb only the product s a matters. With s from the chord at 3/4 of the radius, the lift slope that fits the loss of
-thrust of three tested propellers best is 3.3 (``docs/concepts/rotors.md``), not the 5.7 of a thin section: blades are
+thrust of three tested propellers best is 3.3 (``docs/results/propellers.md``), not the 5.7 of a thin section: blades are
 short, slow and partly stalled at rest.
 Source: Leishman (2006), Principles of Helicopter Aerodynamics, sections 3.2-3.3, 4.5 (flapping), 5.2; Johnson (1980),
 Helicopter Theory, chapter 5; Bramwell, Done, Balmford (2001), Bramwell's Helicopter Dynamics, chapter 3; of small propellers
@@ -127,7 +127,7 @@ class BladeElement(WrenchEffect):
     by_default = False
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return nothing of it, for a plastic propeller of two blades: as in the sources of ``docs/concepts/rotors.md``."""
+        """Return nothing of it, for a plastic propeller of two blades: as in the sources of ``docs/results/propellers.md``."""
         del robot
         return 0.0, 0.1, 3.3, -0.45, 0.4, 900.0
 

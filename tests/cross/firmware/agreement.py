@@ -1,6 +1,6 @@
 """How far our controllers are from those of real firmware: the golden vectors of this folder, as a table.
 
-python -m tests.cross.firmware.agreement [--write docs/guides/flight_controllers.md]
+python -m tests.cross.firmware.agreement [--write docs/results/firmware.md]
 """
 
 import argparse

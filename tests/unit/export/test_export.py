@@ -108,7 +108,7 @@ def test_an_exported_policy_flies(form: str, memory: bool, rate_hz: int, tmp_pat
     """At three rates, with commands that are 20 ms late and noise: it hovers, and each flight is that of torch.
 
     Differences of rounding grow along a flight as the closed loop lets them: it is stable, so that they stay small. ``-s``
-    prints the figures of ``docs/guides/export.md``.
+    prints the figures of ``docs/results/export.md``.
     """
     if form == "onnx":
         pytest.importorskip("onnxruntime")

@@ -34,7 +34,7 @@ def test_lag_and_dead_time_are_those_of_the_identified_robot() -> None:
 
 
 def test_yaw_is_no_quicker_than_its_torque() -> None:
-    """x500 gives 10.1 rad/s² about yaw at hover, docs/guides/own_robot.md: sqrt of that, 3.18 rad/s, is the most."""
+    """x500 gives 10.1 rad/s² about yaw at hover, docs/results/robots.md: sqrt of that, 3.18 rad/s, is the most."""
     found = tune_robot(X500, name="x500", attitude=6.0, position=1.0, damping=0.8, dt=0.004)
     assert found.control.attitude_frequency is not None
     assert found.yaw_limited
