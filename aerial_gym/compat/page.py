@@ -1,19 +1,12 @@
-"""The table of names side by side, made from the tables by which this layer works.
+"""Names of the Aerial Gym Simulator beside ours, from the tables by which this layer works; the site shows them."""
 
-``python -m aerial_gym.compat.page PAGE.md`` writes it between two marks of a page.
-"""
-
-import sys
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
 from aerial_gym.compat.config import assets, controllers, environments, imus, robots, sensors, sims, tasks
 from aerial_gym.compat.config.fields import Table
 from aerial_gym.compat.modules import GONE, MODULES
 from aerial_gym.compat.names import METHODS
 from aerial_gym.compat.tensors import KEYS
-
-BEGIN, END = "<!-- names: begin, by python -m aerial_gym.compat.page -->", "<!-- names: end -->"
 
 TABLES: tuple[tuple[str, Table], ...] = (
     ("Sims", sims.TABLE),
@@ -32,11 +25,11 @@ TABLES: tuple[tuple[str, Table], ...] = (
 def names() -> str:
     """Return all names side by side, in Markdown."""
     parts = [
-        "### Methods", _methods(),
-        "### Tensor keys", _keys(),
-        "### Registered names", _registered(),
-        "### Module paths", _modules(),
-        "### Configuration classes", _classes(),
+        "## Methods", _methods(),
+        "## Tensor keys", _keys(),
+        "## Registered names", _registered(),
+        "## Module paths", _modules(),
+        "## Configuration classes", _classes(),
     ]  # fmt: skip
     return "\n\n".join(parts)
 
@@ -89,14 +82,3 @@ def _classes() -> str:
         rows += [(f"`{section}.*`", "-", why) for section, why in table.idle_sections.items()]
         parts += [f"**{title}**", _rows(("attribute", "here", "remark"), rows)]
     return "\n\n".join(parts)
-
-
-def with_names(text: str) -> str:
-    """Return a page with the table between its two marks written anew."""
-    before, _, rest = text.partition(BEGIN)
-    return f"{before}{BEGIN}\n\n{names()}\n\n{END}{rest.partition(END)[2]}"
-
-
-if __name__ == "__main__":
-    page = Path(sys.argv[1])
-    page.write_text(with_names(page.read_text(encoding="utf-8")), encoding="utf-8")

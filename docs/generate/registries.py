@@ -1,6 +1,7 @@
 """Pages of what is registered: one section or row for each name, from its configuration."""
 
 import inspect
+import re
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -43,7 +44,7 @@ def registry_pages() -> dict[str, str]:
         "aerial_gym_names.md": page(
             "Names of the Aerial Gym Simulator",
             "For users of the Aerial Gym Simulator: each of its names beside the one of this package.",
-            [names().replace("\n### ", "\n## ").replace("### Methods", "## Methods")],
+            [names()],
         ),
     }  # fmt: skip
 
@@ -113,7 +114,8 @@ def _listed(names_of_parts: Iterable[str]) -> str:
 def _examples_of(task: str) -> list[str]:
     """Return the examples that name a task, as paths of the repository."""
     files = sorted(EXAMPLES.rglob("*.py"))
-    return [str(path.relative_to(EXAMPLES.parent)) for path in files if f'"{task}"' in path.read_text(encoding="utf-8")]
+    named = re.compile(rf"\b{task}\b")
+    return [str(path.relative_to(EXAMPLES.parent)) for path in files if named.search(path.read_text(encoding="utf-8"))]
 
 
 def _environment(name: str) -> str:

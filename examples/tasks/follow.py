@@ -1,7 +1,8 @@
 """A figure eight, with its acceleration as a lead or without: ``python examples/tasks/follow.py OUT.png [STARTS [TASK ...]]``.
 
-Flies ``tracking_task`` and ``agile_tracking_task``, or others, by ``LeePilot`` from fresh starts, prints the distance in the
-last second [m] and draws the last two thirds of one flight each. Needs matplotlib (``pip install 'aerial-gym[sim2real]'``).
+``LeePilot`` flies ``tracking_task`` and ``agile_tracking_task``, or others such as ``smooth_tracking_task``, from fresh starts.
+Prints the distance in the last second [m] and draws the last two thirds of one flight each. Needs matplotlib
+(``pip install 'aerial-gym[sim2real]'``).
 """
 
 import sys

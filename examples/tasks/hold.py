@@ -1,8 +1,9 @@
 """What a law reaches without learning where a point is to be held: ``python examples/tasks/hold.py [STARTS [TASK ...]]``.
 
 Flies each task from fresh starts by ``LeePilot``, with gains as they are derived and twice as quick, whatever the task takes:
-attitude, velocities, accelerations, body rates, or the thrust of each rotor. Prints the share of flights that are lost [%], the
-distance of the others in the last second [m], and the share that came near and stayed [%].
+attitude, velocities, accelerations, body rates, or the thrust of each rotor. ``position_setpoint_task_morphy_paper`` flies
+as well, with the reward of the paper. Prints the share of lost flights [%], the distance of the others in the last second [m],
+and the share that stays near the point [%].
 """
 
 import sys

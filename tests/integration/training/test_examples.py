@@ -158,14 +158,11 @@ def test_what_no_law_flies_is_learned(told: Told, tmp_path: Path, name: str) -> 
     assert (tmp_path / name / "curve.csv").exists()
 
 
-def test_each_task_has_an_example_of_less_than_sixty_lines() -> None:
-    """Each is named in the row, or the sentence, of the page of tasks that links to the file."""
-    page = (EXAMPLES.parent / "docs" / "guides" / "own_task.md").read_text(encoding="utf-8")
-    for name in TASKS:
-        lines = [line for line in page.splitlines() if f"`{name}`" in line and "../examples/tasks/" in line]
-        assert lines, f"{name}: docs/guides/own_task.md links to no example of it"
-        for file in re.findall(r"\.\./examples/(tasks/\w+\.py)", " ".join(lines)):
-            assert len((EXAMPLES / file).read_text(encoding="utf-8").splitlines()) < 60, file
+@pytest.mark.parametrize("name", TASKS)
+def test_each_task_has_a_short_example(name: str) -> None:
+    """The reference finds examples by the name of the task in their text."""
+    files = [path for path in EXAMPLES.rglob("*.py") if re.search(rf"\b{name}\b", path.read_text(encoding="utf-8"))]
+    assert any(len(path.read_text(encoding="utf-8").splitlines()) < 60 for path in files)
 
 
 @pytest.mark.slow
