@@ -6,7 +6,7 @@ Letters: E environments, M remembered numbers, P numbers on their way.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -45,19 +45,6 @@ class LawMemory:
     def tensors(self) -> dict[str, Tensor]:
         """Return what changes from substep to substep, by name."""
         return {"numbers": self.numbers, "past": self.past, "since": self.since}
-
-
-class RememberingLaw(Protocol):
-    """A control law with memory."""
-
-    @property
-    def needs(self) -> LawNeeds:
-        """What it must be given to remember."""
-        ...
-
-    def command(self, state: BodyState, action: Tensor, memory: LawMemory) -> tuple[Tensor, LawMemory]:
-        """Return commanded rotor speeds [rad/s], (E, R), of one physics step, and the memory after it."""
-        ...
 
 
 def needs_of(law: object) -> LawNeeds | None:

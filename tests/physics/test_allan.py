@@ -1,14 +1,12 @@
 """Allan deviation: closed forms of the estimator, and the densities that it finds in simulated IMUs."""
 
-from pathlib import Path
-
 import pytest
 import torch
 from torch import Tensor
 
 from aerial_gym.errors import ShapeError
 from aerial_gym.sensors import IMUS
-from aerial_gym.sensors.allan import AllanCmd, allan_deviation, record_at_rest
+from aerial_gym.sensors.allan import allan_deviation, record_at_rest
 
 DT = 0.25
 
@@ -68,12 +66,3 @@ def test_simulated_imus_have_the_configured_densities(name: str, dt: float) -> N
 def test_one_sample_is_refused() -> None:
     with pytest.raises(ShapeError, match=r"samples has shape \(1, 6\): the first axis must hold at least two samples"):
         allan_deviation(torch.zeros(1, 6), DT)
-
-
-def test_the_command_draws_an_image(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "allan.png"
-    assert AllanCmd(imu="bmi088", out=path, duration_s=20.0).run() == 0
-    assert path.read_bytes().startswith(b"\x89PNG")
-    assert capsys.readouterr().out.strip() == str(path)
-    assert AllanCmd(imu="bmi08", out=path).run() == 2
-    assert "Known: base_imu, bmi088, vn100" in capsys.readouterr().err
