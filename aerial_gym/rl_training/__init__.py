@@ -7,9 +7,10 @@ from aerial_gym.lazy import exports
 if TYPE_CHECKING:
     from aerial_gym.rl_training.evaluation import Evaluation, evaluate
     from aerial_gym.rl_training.gymnasium import GymnasiumVectorEnv
+    from aerial_gym.rl_training.learner_settings import ApgCfg, PpoCfg
     from aerial_gym.rl_training.policies.load import load_policy
     from aerial_gym.rl_training.policies.policy import Policy
-    from aerial_gym.rl_training.settings import ApgCfg, PpoCfg, TrainingCfg, load_settings, settings_for
+    from aerial_gym.rl_training.settings import TrainingCfg, load_settings, settings_for
     from aerial_gym.rl_training.trainers.catalog import TRAINERS
     from aerial_gym.rl_training.trainers.trainer import Trainer
     from aerial_gym.rl_training.training import TrainingResult, train

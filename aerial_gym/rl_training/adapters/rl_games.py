@@ -19,12 +19,13 @@ from rl_games.common.ivecenv import IVecEnv
 from rl_games.torch_runner import Runner
 from torch import Tensor, distributed
 
+from aerial_gym.rl_training.learner_settings import PpoCfg
 from aerial_gym.rl_training.ranks import ALONE, Ranks
 from aerial_gym.rl_training.run.interruption import Interruption
 from aerial_gym.rl_training.run.keeper import Keeper
 from aerial_gym.rl_training.run.progress import Progress, Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
-from aerial_gym.rl_training.settings import PpoCfg, TrainingCfg
+from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.summaries import guard
 from aerial_gym.task import Task
 

@@ -36,11 +36,12 @@ from signal_slot.signal_slot import EventLoop, EventLoopStatus
 from torch import Tensor
 
 from aerial_gym.errors import ConfigError, TrainingError
+from aerial_gym.rl_training.learner_settings import PpoCfg
 from aerial_gym.rl_training.run.interruption import Interruption
 from aerial_gym.rl_training.run.keeper import Keeper
 from aerial_gym.rl_training.run.progress import Progress, Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
-from aerial_gym.rl_training.settings import PpoCfg, TrainingCfg
+from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.summaries import GuardedEvents, guard
 from aerial_gym.task import Task
 

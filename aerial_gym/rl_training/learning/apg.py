@@ -22,12 +22,13 @@ from torch import Tensor, nn
 
 from aerial_gym.errors import CapabilityError
 from aerial_gym.registry.state import below
+from aerial_gym.rl_training.learner_settings import ApgCfg
 from aerial_gym.rl_training.learning.adam import FlatAdam
 from aerial_gym.rl_training.learning.learner import Learner, last_observations
 from aerial_gym.rl_training.learning.objective import beyond_bounds, bounded, generalized_advantages
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.policies.distribution import Gaussian
-from aerial_gym.rl_training.settings import ApgCfg, TrainingCfg
+from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import Task
 
 BETAS = (0.7, 0.95)

@@ -18,11 +18,12 @@ import torch
 from torch import Tensor
 
 from aerial_gym.registry.state import below
+from aerial_gym.rl_training.learner_settings import DistillCfg
 from aerial_gym.rl_training.learning.adam import FlatAdam, quick_products
 from aerial_gym.rl_training.learning.learner import Learner
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.policies.policy import Policy
-from aerial_gym.rl_training.settings import DistillCfg, TrainingCfg
+from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import Task
 
 

@@ -15,11 +15,12 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from aerial_gym.rl_training.learner_settings import PpoCfg
 from aerial_gym.rl_training.learning.objective import BOUND
 from aerial_gym.rl_training.learning.ppo import Flown, Ppo, Samples
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.ranks import ALONE, Ranks
-from aerial_gym.rl_training.settings import PpoCfg, TrainingCfg
+from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import Task
 
 WIDTHS = (16, 32, 64)

@@ -18,13 +18,14 @@ import torch
 from torch import Tensor
 
 from aerial_gym.registry.state import below
+from aerial_gym.rl_training.learner_settings import PpoCfg
 from aerial_gym.rl_training.learning.adam import FlatAdam, quick_products
 from aerial_gym.rl_training.learning.learner import Learner, last_observations
 from aerial_gym.rl_training.learning.objective import beyond_bounds, generalized_advantages
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.policies.distribution import Gaussian
 from aerial_gym.rl_training.ranks import ALONE, Ranks
-from aerial_gym.rl_training.settings import PpoCfg, TrainingCfg
+from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import Task
 
 RATE_STEP = 1.5

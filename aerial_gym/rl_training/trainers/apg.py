@@ -3,7 +3,8 @@
 import logging
 from typing import TYPE_CHECKING
 
-from aerial_gym.rl_training.settings import ApgCfg, TrainingCfg
+from aerial_gym.rl_training.learner_settings import ApgCfg
+from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.trainer import OwnTrainer
 
 if TYPE_CHECKING:

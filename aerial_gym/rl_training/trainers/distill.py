@@ -3,7 +3,8 @@
 from typing import TYPE_CHECKING
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.rl_training.settings import DistillCfg, TrainingCfg
+from aerial_gym.rl_training.learner_settings import DistillCfg
+from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.trainer import OwnTrainer
 
 if TYPE_CHECKING:

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from aerial_gym.errors import ConfigError, MissingDependencyError
-from aerial_gym.rl_training.settings import TRAINING_CONFIGS, LearnerCfg, PpoCfg, TrainingCfg
+from aerial_gym.rl_training.learner_settings import LearnerCfg, PpoCfg
+from aerial_gym.rl_training.settings import TRAINING_CONFIGS, TrainingCfg
 
 if TYPE_CHECKING:
     import torch

@@ -11,10 +11,10 @@ from aerial_gym.cli.main import main
 from aerial_gym.config.checks import require_positive
 from aerial_gym.errors import ConfigError, MissingDependencyError
 from aerial_gym.rl_training import TRAINERS, Policy, Trainer, load_policy, load_settings, train
+from aerial_gym.rl_training.learner_settings import LearnerCfg
 from aerial_gym.rl_training.policies.load import body_cfg, own_policy
 from aerial_gym.rl_training.run.progress import Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
-from aerial_gym.rl_training.settings import LearnerCfg
 
 SETTINGS = """
 task: position_setpoint_task
