@@ -149,15 +149,6 @@ def test_flapping_holds_back_and_lifts_the_nose() -> None:
     near(climbing, [0.0] * 6)
 
 
-def test_the_in_plane_force_acts_at_the_hubs() -> None:
-    """A centre of mass 5 cm below the rotors: the force against forward motion there lifts the nose: tau_y = l_z F_x."""
-    values = {"h_force_flapping": {"kh": 1e-5, "kf": 0.0}, "com_offset": {"x": 0.0, "y": 0.0, "z": -0.05}}
-    lower = {"com_offset": values["com_offset"]}
-    state = hovering(lin_vel=[3.0, 0.0, 0.0])
-    with_force, without = (accelerations(model_with(v), state).ang_acc[0, 1] * INERTIA[1] for v in (values, lower))
-    near((with_force - without).view(1), [0.05 * -1e-5 * 4 * SPEED * 3.0])
-
-
 def test_flapping_damps_a_yaw_rate() -> None:
     """The hubs move by r_z x l: tau_z = -kh sum(w) (x² + y²) r."""
     found = wrench_of({"h_force_flapping": {"kh": 1e-5, "kf": 0.0}}, hovering(ang_vel=[0.0, 0.0, 2.0]))
@@ -170,16 +161,6 @@ def test_axial_inflow_takes_thrust_in_a_climb_and_damps_a_roll() -> None:
     near(climb, [0.0, 0.0, -ka * 4 * SPEED * 3.0, 0.0, 0.0, 0.0])
     roll = wrench_of({"axial_inflow": {"ka": ka}}, hovering(ang_vel=[2.0, 0.0, 0.0]))
     near(roll, [0.0, 0.0, 0.0, -ka * 4 * SPEED * ARM**2 * 2.0, 0.0, 0.0])
-
-
-def test_a_roll_dies_out_exponentially_by_axial_inflow() -> None:
-    """J p' = -ka w sum(y²) p."""
-    ka = 2e-5
-    model = model_with({"axial_inflow": {"ka": ka}}, gravity=0.0)
-    state = hovering(ang_vel=[0.5, 0.0, 0.0])
-    end = advance(model, INTEGRATORS["rk4"], SpeedControl(), state, state.rotor_speed, 0.001, 100)
-    rate = ka * SPEED * 4 * ARM**2 / INERTIA[0]
-    near(end.ang_vel[0], [0.5 * exp(-rate * 0.1), 0.0, 0.0], size=10.0)
 
 
 def test_wind_from_below_adds_thrust() -> None:

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from aerial_gym.errors import ConfigError, ShapeError, UnknownNameError
-from aerial_gym.math.quaternion import quat_from_euler, quat_rotate_inverse
+from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.physics import (
     EFFECTS,
     INTEGRATORS,
@@ -102,15 +102,6 @@ def test_rotor_drag_acts_in_body_axes() -> None:
     torch.testing.assert_close(force, torch.tensor([[0.0, 0.2 / 0.373, 0.0]], dtype=F64), atol=1e-12, rtol=0)
 
 
-def test_quadratic_drag_falls_towards_the_terminal_velocity() -> None:
-    """Falling from rest: v = -v_t tanh(g t / v_t), v_t = sqrt(m g / d)."""
-    model = symmetric_model({"quadratic_drag": {"dx": 0.01, "dy": 0.02, "dz": 0.05}})
-    terminal = (0.373 * 9.81 / 0.05) ** 0.5
-    end = fall(model, still(), 1.0, 200)
-    expected = -terminal * torch.tanh(torch.tensor(9.81 / terminal, dtype=F64))
-    torch.testing.assert_close(end.lin_vel[0, 2], expected, atol=1e-8, rtol=0)
-
-
 def test_quadratic_drag_scales_with_the_norm_of_the_velocity() -> None:
     """F_x = -d_x |v| v_x with v = (3, 4, 0): |v| = 5."""
     model = symmetric_model({"quadratic_drag": {"dx": 0.01, "dy": 0.02, "dz": 0.05}})
@@ -186,16 +177,6 @@ def test_wind_without_drag_changes_nothing() -> None:
     state = random_state(8)
     a = accelerations(symmetric_model({"constant_wind": {"x": 5.0, "y": 0.0, "z": 0.0}}, 8), state)
     torch.testing.assert_close(a.specific_force, accelerations(symmetric_model({}, 8), state).specific_force)
-
-
-def test_drag_takes_energy_in_every_state() -> None:
-    """Power F . v <= 0 at the centre of mass for both drags, any attitude and rate."""
-    state = replace(random_state(256), rotor_speed=torch.zeros(256, 4, dtype=F64))
-    for name in ("rotor_drag", "quadratic_drag"):
-        model = symmetric_model({name: {"dx": 0.3, "dy": 0.2, "dz": 0.1}}, 256)
-        force = accelerations(model, state).specific_force
-        power = (force * quat_rotate_inverse(state.attitude, state.lin_vel)).sum(-1)
-        assert (power < 0).all()
 
 
 def test_effects_differ_between_environments() -> None:

@@ -213,26 +213,6 @@ def test_starts_have_any_heading_and_goals_keep_their_distance() -> None:
     assert (distance_at(task, task.target_position) >= 0.4 - 2e-6).all()
 
 
-def test_each_episode_ends_as_success_crash_or_timeout() -> None:
-    """At the goal at the end, in a wall, elsewhere at the end, and at the goal before the end."""
-    task = make(4)
-    task.reset()
-    clear(task)
-    assert task.cfg.episode_len_steps * task.env.dt == pytest.approx(11.0)
-    position = task.target_position + torch.tensor([0.0, 0.6, 0.0])
-    position[1] = task.env.gtd["env_bounds_min"][1]
-    position[2, 0] -= 3.0
-    put(task, position)
-    task.env.gtd["sim_steps"].copy_(torch.tensor([109, 5, 109, 5]))
-    _, reward, terminated, truncated, info = task.step(STAY)
-    assert info["successes"].tolist() == [True, False, False, False]
-    assert info["crashes"].tolist() == terminated.tolist() == [False, True, False, False]
-    assert info["timeouts"].tolist() == [False, False, True, False]
-    assert truncated.tolist() == info["time_outs"].tolist() == [True, False, True, False]
-    assert reward[1] == -10.0
-    assert task.env.gtd["sim_steps"].tolist() == [0, 0, 0, 6]
-
-
 def test_the_curriculum_goes_from_25_to_70_rows_of_which_6_are_walls() -> None:
     """Two more above a share of 0.7, one less below 0.6, after 2048 episodes; walls always stand."""
     assert CFG.curriculum is not None

@@ -86,18 +86,6 @@ def test_return_and_length_belong_to_the_finished_episode() -> None:
     torch.testing.assert_close(info["episode_return"], reward)
 
 
-def test_same_seed_same_episodes_whatever_else_runs_in_the_process() -> None:
-    first, other, second = make(4, seed=3), make(9, seed=8), make(4, seed=3)
-    a, _ = first.reset()
-    other.reset()
-    b, _ = second.reset()
-    for _ in range(10):
-        a, *_ = first.step(torch.full((4, 4), 0.1))
-        other.step(torch.zeros(9, 4))
-        b, *_ = second.step(torch.full((4, 4), 0.1))
-    assert torch.equal(a["observations"], b["observations"])
-
-
 def test_a_step_neither_keeps_nor_changes_the_action_tensor() -> None:
     task = make(2)
     task.reset()

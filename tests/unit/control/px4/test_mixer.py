@@ -36,36 +36,6 @@ def mixed(wanted: list[float], airmode: int, columns: Tensor = QUADROTOR, *, low
 
 
 @pytest.mark.parametrize(
-    ("wanted", "signals"),
-    [
-        ([0, 0, 1.0, 0], [0, 0, 0, 0]),
-        ([0, 0, 0, 0.75], [0.1875, 0.1875, 0.1875, 0.1875]),
-        ([0, 0, 0.02, 0.75], [0.2875, 0.2875, 0.0875, 0.0875]),
-        ([0, 0, 0.25, 0.75], [0.375, 0.375, 0, 0]),
-        ([0, 0.1, 0, 0.75], [0.2125, 0.1625, 0.2125, 0.1625]),
-        ([0, 0, 1.0, 3.2], [1.0, 1.0, 0.3, 0.3]),
-        ([0, 2.0, 0, 3.0], [1.0, 0, 1.0, 0]),
-    ],
-)
-def test_without_airmode_signals_are_those_of_px4s_unit_tests(wanted: list[float], signals: list[float]) -> None:
-    """Yaw alone is nothing; yaw is cut to what thrust carries, and takes up to 0.15 of thrust; pitch takes thrust."""
-    found = mixed([float(w) for w in wanted], 0, UNIT_TEST).signal
-    torch.testing.assert_close(found, torch.tensor([signals], dtype=F64), atol=1e-4, rtol=0)
-
-
-def test_airmode_raises_thrust_for_roll_and_pitch_alone_or_for_yaw_as_well() -> None:
-    """Roll 0.4 needs +-0.283 of each motor, yaw 0.4 needs +-0.4, and only 0.1 of thrust is wanted."""
-    roll, half = [0.4, 0.0, 0.0, 0.1], 0.4 * 0.5**0.5
-    low, high = (torch.tensor(row, dtype=F64) for row in ([[0.2, 0, 0, 0.2]], [[2 * half, 0, 0, 2 * half]]))
-    torch.testing.assert_close(mixed(roll, 0).signal, low)  # as much roll as the thrust has room for
-    torch.testing.assert_close(mixed(roll, 1).signal, high)
-    torch.testing.assert_close(mixed(roll, 2).signal, high)
-    yaw = [0.0, 0.0, 0.4, 0.1]
-    torch.testing.assert_close(mixed(yaw, 1).signal, torch.tensor([[0.2, 0.2, 0, 0]], dtype=F64))
-    torch.testing.assert_close(mixed(yaw, 2).signal, torch.tensor([[0.8, 0.8, 0, 0]], dtype=F64))
-
-
-@pytest.mark.parametrize(
     ("wanted", "airmode", "short"),
     [
         ([0.1, -0.1, 0.1, 0.5], 0, [0, 0, 0]),
