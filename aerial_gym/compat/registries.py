@@ -41,7 +41,8 @@ class _Names:
             return
         raise DuplicateNameError(f"{self.kind} {name!r} is registered already, as something else. Choose another name.")
 
-    def _names(self) -> list[str]:
+    def names(self) -> list[str]:
+        """Return all names, sorted."""
         return sorted({*self._own, *self.built_in, *self.ours})
 
     def _find(self, name: str) -> Any:
@@ -50,7 +51,7 @@ class _Names:
             return self._own[name][1]
         if name in self.built_in or name in self.ours:
             return None
-        names = self._names()
+        names = self.names()
         raise UnknownNameError(f"no {self.kind} {name!r}.{did_you_mean(name, names)} Known: {', '.join(names)}")
 
 
@@ -99,13 +100,10 @@ class SimConfigRegistry(_Configurations):
         """Return the sim class."""
         return self.config_class(sim_name)
 
-    def get_sim_names(self) -> list[str]:
-        """Return all names, sorted."""
-        return self._names()
+    get_sim_names = _Names.names
 
-    def make_sim(self, sim_name: str) -> Any:
-        """Return the sim class: nothing is built, as there."""
-        return self.config_class(sim_name)
+    make_sim = get_sim_config
+    """Nothing is built, as there."""
 
 
 class EnvConfigRegistry(_Configurations):
@@ -122,13 +120,10 @@ class EnvConfigRegistry(_Configurations):
         """Return the environment class."""
         return self.config_class(env_name)
 
-    def get_env_names(self) -> list[str]:
-        """Return all names, sorted."""
-        return self._names()
+    get_env_names = _Names.names
 
-    def make_env(self, env_name: str) -> Any:
-        """Return the environment class: nothing is built, as there."""
-        return self.config_class(env_name)
+    make_env = get_env_config
+    """Nothing is built, as there."""
 
 
 class BaseMultirotor:
@@ -163,9 +158,7 @@ class RobotRegistry(_Configurations):
         """Return the robot class."""
         return self.config_class(robot_name)
 
-    def get_robot_names(self) -> list[str]:
-        """Return all names, sorted."""
-        return self._names()
+    get_robot_names = _Names.names
 
     def make_robot(self, robot_name: str, *_: object, **__: object) -> NoReturn:
         """Refuse: a robot is built with its environment."""
@@ -188,9 +181,7 @@ class ControllerRegistry(_Names):
         controllers.controller_of(controller_class, controller_config)
         self._add(controller_name, (controller_class, controller_config), controller_config)
 
-    def get_controller_names(self) -> list[str]:
-        """Return all names, sorted."""
-        return self._names()
+    get_controller_names = _Names.names
 
     def get_controller_class(self, controller_name: str) -> Any:
         """Return the class that stands for the law; None for one that only we have."""
@@ -238,9 +229,7 @@ class TaskRegistry(_Names):
         """Register a task class with its configuration; another class under a registered name is refused."""
         self._add(task_name, (task_class, task_config), task_class)
 
-    def get_task_names(self) -> list[str]:
-        """Return all names, sorted."""
-        return self._names()
+    get_task_names = _Names.names
 
     def get_task_class(self, task_name: str) -> type:
         """Return the task class."""
@@ -258,11 +247,11 @@ class TaskRegistry(_Names):
 
     def get_task_classes(self) -> list[type]:
         """Return the class of every task."""
-        return [self.get_task_class(name) for name in self._names()]
+        return [self.get_task_class(name) for name in self.names()]
 
     def get_task_configs(self) -> list[Any]:
         """Return the configuration class of every task."""
-        return [self.get_task_config(name) for name in self._names()]
+        return [self.get_task_config(name) for name in self.names()]
 
     def make_task(
         self,

@@ -91,11 +91,6 @@ def check_closed_loop(
         _log.info(f"{who} has a gain margin of less than 6 dB. {_remedy(loop, controller, robot, dt)}")
 
 
-def _return(hover: Hover) -> str:
-    """Return the end of the flight of an unstable vehicle, as the end of a sentence about it."""
-    return "comes back to its setpoint" if hover.holds else f"comes back, but {hover_error(hover)}"
-
-
 def hover_error(hover: Hover) -> str:
     """Return the hover error of a vehicle, as the end of a sentence about it."""
     speed, away = (max(map(abs, part)) for part in (hover.drift, hover.offset))
