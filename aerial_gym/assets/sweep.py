@@ -72,7 +72,8 @@ def bow_between(q0: wp.quat, q1: wp.quat) -> float:
 
 
 @wp.func
-def _attitude_at(path: Path, t: float) -> wp.quat:
+def attitude_at(path: Path, t: float) -> wp.quat:
+    """Return the attitude at a time."""
     return wp.quat_from_axis_angle(wp.normalize(path.turn), t * wp.length(path.turn)) * path.attitude
 
 
@@ -132,21 +133,21 @@ def _time_of_corner(
 
 
 @cache
-def make_touches_part(*, cores: bool) -> wp.Function:
+def make_touch_time(*, cores: bool) -> wp.Function:
     """Return the search of one shape of a robot against one part that is no mesh; ``cores``: among boxes and capsules."""
     num_corners = 8 if cores else 1
 
     @wp.func
-    def touches_part(shape: Shape, other: Path, own: BodyShape, path: Path, first: float, last: float) -> wp.bool:
-        """Return whether they touch between two times; the part's carrier follows ``other``."""
+    def touch_time(shape: Shape, other: Path, own: BodyShape, path: Path, first: float, last: float) -> float:
+        """Return the time of the first touch between two times, inf without one; the part's carrier follows ``other``."""
         drift = path.shift - other.shift
         t = wp.float32(first)
         k = wp.int32(0)
         by_center = wp.bool(True)  # the plane from the centre is cheap, and nearly always shows that the part is far
         while k < wp.static(MAX_STEPS):
             k += 1
-            q = _attitude_at(path, t)
-            turn = _attitude_at(other, t)
+            q = attitude_at(path, t)
+            turn = attitude_at(other, t)
             arm = wp.quat_rotate(q, own.center - path.pivot)
             away = path.start - other.start + t * drift
             to_part = wp.quat_rotate(turn, shape.position - other.pivot)
@@ -158,7 +159,7 @@ def make_touches_part(*, cores: bool) -> wp.Function:
             span = wp.length(away) + lever + left * wp.length(drift)
             speed = wp.length(drift) + wp.length(path.turn) * lever + wp.length(other.turn) * span
             if distance - own.reach - NEAR > left * speed:
-                return False
+                return wp.inf
             normal = primitive_normal(shape, local)
             slack = wp.float32(NEAR)
             is_refined = own.reach == own.radius or not by_center
@@ -177,7 +178,7 @@ def make_touches_part(*, cores: bool) -> wp.Function:
                         slack += EDGE * shape.radius
             distance -= own.radius
             if distance < 0.0:
-                return True
+                return t
             outward = wp.quat_rotate(turn, normal)
             surface = support(shape, normal) + wp.dot(outward, to_part - away) + own.radius
             wait = wp.where(is_refined, wp.max(distance - 0.5 * slack, 0.0) / wp.max(speed, 1.0e-20), 0.0)
@@ -191,32 +192,64 @@ def make_touches_part(*, cores: bool) -> wp.Function:
                 c += 1
             wait = wp.max(wait, soonest)
             if wait >= left:
-                return False
+                return wp.inf
             if is_refined:
                 if distance < slack:
-                    return True
+                    return t
                 t += wait
             by_center = is_refined
-        return True
+        return t
 
-    return touches_part
+    return touch_time
 
 
 @wp.func
-def _local_center(shape: Shape, other: Path, own: BodyShape, path: Path, t: float) -> wp.vec3:
+def local_center(shape: Shape, other: Path, own: BodyShape, path: Path, t: float) -> wp.vec3:
     """Return the centre of the robot's shape in the frame of the part at a time [m]."""
-    q = _attitude_at(other, t)
-    center = path.start + t * path.shift + wp.quat_rotate(_attitude_at(path, t), own.center - path.pivot)
+    q = attitude_at(other, t)
+    center = path.start + t * path.shift + wp.quat_rotate(attitude_at(path, t), own.center - path.pivot)
     origin = other.start + t * other.shift + wp.quat_rotate(q, shape.position - other.pivot)
     return wp.quat_rotate_inv(q * shape.attitude, center - origin)
+
+
+@wp.func
+def swept_box(shape: Shape, other: Path, own: BodyShape, path: Path, first: float, last: float):
+    """Return middle and half edges of a box in the frame of a mesh that holds the robot's shape between two times [m]."""
+    a = local_center(shape, other, own, path, first)
+    b = local_center(shape, other, own, path, last)
+    arm = wp.length(own.center - path.pivot)
+    drift = wp.length(path.shift - other.shift)
+    spin = wp.length(path.turn)
+    other_spin = wp.length(other.turn)
+    away = wp.length(path.start - other.start) + drift + arm
+    acc = spin * spin * arm + other_spin * (2.0 * (drift + spin * arm) + other_spin * away)
+    edge = own.reach + NEAR + 0.125 * acc * (last - first) * (last - first)
+    return 0.5 * (a + b), 0.5 * wp.abs(b - a) + wp.vec3(edge, edge, edge)
+
+
+@wp.func
+def face_of(shape: Shape, face: int) -> Shape:
+    """Return one face of a mesh as a shape of its own."""
+    solid = shape
+    solid.kind = TRIANGLE
+    solid.size = wp.mesh_get_point(shape.mesh, 3 * face)
+    solid.center = wp.mesh_get_point(shape.mesh, 3 * face + 1)
+    solid.half = wp.mesh_get_point(shape.mesh, 3 * face + 2)
+    return solid
 
 
 @cache
 def make_touches(*, cores: bool, meshes: bool) -> wp.Function:
     """Return the same against any part: a mesh face by face; ``meshes``: whether any part is one."""
-    touches_part = make_touches_part(cores=cores)
+    touch_time = make_touch_time(cores=cores)
+
+    @wp.func
+    def touches_solid(shape: Shape, other: Path, own: BodyShape, path: Path, first: float, last: float) -> wp.bool:
+        """Return whether they touch between two times."""
+        return touch_time(shape, other, own, path, first, last) < wp.inf
+
     if not meshes:
-        return touches_part
+        return touches_solid
 
     @wp.func
     def touches(shape: Shape, other: Path, own: BodyShape, path: Path, first: float, last: float) -> wp.bool:
@@ -225,27 +258,15 @@ def make_touches(*, cores: bool, meshes: bool) -> wp.Function:
         face = wp.int32(0)
         is_mesh = shape.kind == MESH
         if is_mesh:
-            a = _local_center(shape, other, own, path, first)
-            b = _local_center(shape, other, own, path, last)
-            arm = wp.length(own.center - path.pivot)
-            drift = wp.length(path.shift - other.shift)
-            spin = wp.length(path.turn)
-            other_spin = wp.length(other.turn)
-            away = wp.length(path.start - other.start) + drift + arm
-            acc = spin * spin * arm + other_spin * (2.0 * (drift + spin * arm) + other_spin * away)
-            edge = own.reach + NEAR + 0.125 * acc * (last - first) * (last - first)
-            reach = wp.vec3(edge, edge, edge)
-            query = wp.mesh_query_aabb(shape.mesh, wp.min(a, b) - reach, wp.max(a, b) + reach)
-            solid.kind = TRIANGLE
+            middle, half = swept_box(shape, other, own, path, first, last)
+            query = wp.mesh_query_aabb(shape.mesh, middle - half, middle + half)
         more = wp.bool(True)
         while more:
             if is_mesh:
                 more = wp.mesh_query_aabb_next(query, face)
                 if more:
-                    solid.size = wp.mesh_get_point(shape.mesh, 3 * face)
-                    solid.center = wp.mesh_get_point(shape.mesh, 3 * face + 1)
-                    solid.half = wp.mesh_get_point(shape.mesh, 3 * face + 2)
-            if more and touches_part(solid, other, own, path, first, last):
+                    solid = face_of(shape, face)
+            if more and touches_solid(solid, other, own, path, first, last):
                 return True
             more = more and is_mesh
         return False

@@ -1,9 +1,10 @@
 """Contact of the robot with obstacles, at rest or moving: changes its motion after each substep of the physics.
 
-After a substep and its contact with the ground plane the obstacles move, then push. It is a ``SubstepHook``: the fused kernel
-holds it, and the torch backend calls it. Formula and sources: ``physics.contact``.
+After a substep and its contact with the ground plane the robot stops at what it would pass through (``crossings``). Then the
+obstacles move, and push what overlaps them (``touching_pairs``); the shift by this push passes through nothing either. It is
+a ``SubstepHook``: the fused kernel holds it, and the torch backend calls it. Formula and sources: ``physics.contact``.
 
-What touches what says ``touching_pairs``; robots of spheres alone have a shorter kernel.
+Robots of spheres alone have a shorter kernel.
 Frames: world of each environment, z up; spheres in the body frame. Letters: E environments, A instances, C spheres.
 """
 
@@ -36,9 +37,21 @@ from aerial_gym.physics.fused.contact import (
 )
 from aerial_gym.physics.fused.hook import FusedHook, Substep
 from aerial_gym.physics.integrators import MassState
-from aerial_gym.robots.touching_pairs import MAX_CONTACTS, SceneMotion, add_cores, come_fast, find_pairs, scene_motion
+from aerial_gym.robots.crossings import make_find_stop
+from aerial_gym.robots.touching_pairs import (
+    MAX_CONTACTS,
+    SceneMotion,
+    add_cores,
+    add_pairs,
+    come_fast,
+    find_pairs,
+    scene_motion,
+)
 
 _velocity_change = make_velocity_change(MAX_CONTACTS)
+
+_FIRST = ("position", "attitude", "lin_vel", "ang_vel")
+"""What of the motion before a substep is kept, of the centre of mass."""
 
 
 @wp.struct
@@ -49,6 +62,7 @@ class SceneSurroundings:
     motion: SceneMotion
     sphere: wp.array[wp.vec4]  # (C,) contact points: centre in the body frame, radius [m]
     body: wp.array[BodyShape]  # boxes and capsules, none for robots of spheres
+    hull: float  # radius of a ball about the body origin that holds all shapes [m]
     law: ContactParameters
     crashes: wp.array[wp.bool]  # (E,) set where a touch is a crash
     impulse: wp.array[wp.vec3]  # (E,) world [N s], added to
@@ -63,60 +77,82 @@ class MovingSurroundings:
 
 
 @cache
-def _make_meet(cores: bool) -> wp.Function:
-    """Return the hook among obstacles at rest, for robots with boxes and capsules or without."""
+def _make_meet(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
+    """Return the contact after a substep; whether obstacles move, the robot has boxes or capsules, and any part is a mesh."""
+    find_stop, obstacles_type = make_find_stop(moves=moves, cores=cores, meshes=meshes), Obstacles if moves else int
 
     @wp.func
-    def meet(around: SceneSurroundings, env: int, k: int, done: Substep):  # noqa: ARG001 (all hooks have the same)
-        """Return the motion of a robot after the push of what it overlaps; as it came, bit for bit, where that is nothing."""
-        x = done.position
-        q = done.attitude
+    def meet(around: SceneSurroundings, obstacles: obstacles_type, env: int, done: Substep):
+        """Return the motion of a robot after it stops at what it would pass through, and is pushed by what it overlaps.
+
+        Obstacles move by the substep between the two. A robot that nothing touches comes back bit for bit.
+        """
         v = done.lin_vel
         w = done.ang_vel
+        stop = find_stop(
+            around.scene, around.motion, obstacles, around.sphere, around.body, around.hull, around.law.least_approach,
+            env, done,
+        )  # fmt: skip
+        if wp.static(moves):
+            for a in range(obstacles.asset.shape[1]):
+                move_instance(obstacles, env, a, done.dt, 1)
+        x = stop.position
+        q = stop.attitude
         pairs = find_pairs(around.scene, around.motion, around.sphere, done.com, env, x, q)
         if wp.static(cores):
             pairs = add_cores(pairs, around.scene, around.motion, around.body, done.com, env, x, q)
+        if stop.crosses:
+            pairs = add_pairs(pairs, stop.pairs)
+        turn = rotate(q, done.first_ang_vel)
+        if stop.crashes or come_fast(pairs, done.first_lin_vel, turn, around.law.least_approach):
+            around.crashes[env] = True
         if wp.min(pairs.gaps) >= 0.0:
             return x, q, v, w
-        turn = rotate(q, done.first_ang_vel)
-        if come_fast(pairs, done.first_lin_vel, turn, around.law.least_approach):
-            around.crashes[env] = True
         delta, delta_turn = _velocity_change(
             around.law, done.dt, done.mass, done.inertia, q, v, rotate(q, w),
             pairs.gaps, pairs.levers, pairs.normals, pairs.surface_vels,
         )  # fmt: skip
         around.impulse[env] = around.impulse[env] + done.mass * delta
-        pushed_x, pushed_q, pushed_v, pushed_w = displaced(around.law, done.dt, x, q, v, w, delta, delta_turn)
-        return pushed_x, pushed_q, pushed_v, pushed_w
+        pushed_x, pushed_q, v, w = displaced(around.law, done.dt, x, q, v, w, delta, delta_turn)
+        if not stop.crosses:
+            shifted = done  # the push of one end of a rod may turn its other end through a wall
+            shifted.dt = 0.0
+            shifted.first_position = x
+            shifted.first_attitude = q
+            shifted.position = pushed_x
+            shifted.attitude = pushed_q
+            end = find_stop(
+                around.scene, around.motion, obstacles, around.sphere, around.body, around.hull, wp.inf, env, shifted
+            )
+            x = end.position
+            q = end.attitude
+        return x, q, v, w
 
     return meet
 
 
 @cache
-def _make_move_and_meet(cores: bool) -> wp.Function:
-    """Return the hook among obstacles that move."""
-    meet = _make_meet(cores)
+def _hook_of(*, moves: bool, cores: bool, meshes: bool) -> tuple[type, wp.Function]:
+    """Return the struct and the function of a hook."""
+    meet = _make_meet(moves=moves, cores=cores, meshes=meshes)
 
     @wp.func
-    def move_and_meet(data: MovingSurroundings, env: int, k: int, done: Substep):
-        """Do the same when the obstacles of the environment have moved by a substep."""
-        for a in range(data.obstacles.asset.shape[1]):
-            move_instance(data.obstacles, env, a, done.dt, 1)
-        next_x, next_q, next_v, next_w = meet(data.around, env, k, done)
-        return next_x, next_q, next_v, next_w
+    def meet_still(around: SceneSurroundings, env: int, k: int, done: Substep):  # noqa: ARG001 (all hooks have the same)
+        x, q, v, w = meet(around, 0, env, done)
+        return x, q, v, w
 
-    return move_and_meet
+    @wp.func
+    def meet_moving(data: MovingSurroundings, env: int, k: int, done: Substep):  # noqa: ARG001
+        x, q, v, w = meet(data.around, data.obstacles, env, done)
+        return x, q, v, w
 
-
-def _hook_of(*, moves: bool, cores: bool) -> tuple[type, wp.Function]:
-    """Return the struct and the function of a hook."""
-    return (MovingSurroundings, _make_move_and_meet(cores)) if moves else (SceneSurroundings, _make_meet(cores))
+    return (MovingSurroundings, meet_moving) if moves else (SceneSurroundings, meet_still)
 
 
 @cache
-def _make_push(*, moves: bool, cores: bool) -> wp.Kernel:
+def _make_push(*, moves: bool, cores: bool, meshes: bool) -> wp.Kernel:
     """Return the kernel of one substep, for backends that are no kernel themselves."""
-    data_type, meet = _hook_of(moves=moves, cores=cores)
+    data_type, meet = _hook_of(moves=moves, cores=cores, meshes=meshes)
 
     @wp.kernel(module="unique", enable_backward=False)
     def push(
@@ -126,6 +162,8 @@ def _make_push(*, moves: bool, cores: bool) -> wp.Kernel:
         inertia: wp.array[wp.mat33],  # (E,) about the centre of mass, body [kg m²]
         com: wp.array[wp.vec3],  # (E,) from the body origin, body [m]
         # state
+        first_position: wp.array[wp.vec3],  # (E,) of the centre of mass at the start of the substep, world [m]
+        first_attitude: wp.array[wp.quat],  # (E,) body to world, xyzw, likewise
         first_lin_vel: wp.array[wp.vec3],  # (E,) of the centre of mass at the start of the substep, world [m/s]
         first_ang_vel: wp.array[wp.vec3],  # (E,) likewise, body [rad/s]
         dt: float,  # [s]
@@ -145,6 +183,8 @@ def _make_push(*, moves: bool, cores: bool) -> wp.Kernel:
         done.mass = mass[env]
         done.inertia = inertia[env]
         done.com = c
+        done.first_position = first_position[env]
+        done.first_attitude = first_attitude[env]
         done.first_lin_vel = first_lin_vel[env]
         done.first_ang_vel = first_ang_vel[env]
         done.position = position_out[env] + rotate(q, c)
@@ -152,7 +192,8 @@ def _make_push(*, moves: bool, cores: bool) -> wp.Kernel:
         done.lin_vel = lin_vel_out[env] + rotate(q, wp.cross(w, c))
         done.ang_vel = w
         next_x, next_q, next_v, next_w = meet(data, env, 0, done)
-        if wp.length(next_v - done.lin_vel) == 0.0 and wp.length(next_w - w) == 0.0:
+        pushed = wp.length(next_v - done.lin_vel) + wp.length(next_w - w)
+        if pushed + wp.length(next_x - done.position) == 0.0:
             return  # bit for bit as it was
         position_out[env] = next_x - rotate(next_q, c)
         attitude_out[env] = next_q
@@ -220,26 +261,28 @@ class SceneContact:
         envs, device = (scene.num_envs,), scene.device
         check_tensor("crashes_out", crashes_out, envs, device=device, dtype=torch.bool)
         self._scene, self._robot, self._state, self._dt = scene, robot, state, dt
-        self._first = (torch.zeros_like(state.lin_vel), torch.zeros_like(state.ang_vel))
+        self._first = [torch.zeros_like(getattr(state, name)) for name in _FIRST]
         around = SceneSurroundings()
         share = position_share(integrator, in_fluid=robot.in_fluid)
         around.scene, around.law = scene.arrays, contact_parameters(cfg, share)
         around.motion = scene_motion(scene)
         around.sphere = wp.from_torch(robot.spheres, dtype=wp.vec4)
-        self._cores = has_cores(robot.shapes)
-        around.body = body_shapes(robot.shapes if self._cores else (), device=device)
+        cores = has_cores(robot.shapes)
+        around.body = body_shapes(robot.shapes if cores else (), device=device)
         around.crashes = wp.from_torch(crashes_out)
         around.impulse = vector_view("impulse_out", impulse_out, (*envs, 3), device=device)
+        around.hull = float((robot.spheres[:, :3].norm(dim=1) + robot.spheres[:, 3]).max())
         self._data = around
         if moving is not None:
             self._data = MovingSurroundings()
             self._data.around, self._data.obstacles = around, moving
-        self._moves, self._kept_alive = moving is not None, (crashes_out, impulse_out, moving)
+        self._kinds = {"moves": moving is not None, "cores": cores, "meshes": scene.has_meshes}
+        self._kept_alive = (crashes_out, impulse_out, moving)
         self._command: RecordedLaunch | None = None
 
     def fused(self) -> FusedHook:
         """Return the same as Warp code."""
-        struct, function = _hook_of(moves=self._moves, cores=self._cores)
+        struct, function = _hook_of(**self._kinds)
         return FusedHook(struct, self._data, function)
 
     def begin(self, state: BodyState) -> None:
@@ -250,8 +293,8 @@ class SceneContact:
         del k
         if state is not self._state:
             raise ShapeError("SceneContact: pushes the robots of another state. Make one for this state")
-        self._first[0].copy_(before.lin_vel)
-        self._first[1].copy_(before.ang_vel)
+        for kept, name in zip(self._first, _FIRST, strict=True):
+            kept.copy_(getattr(before, name))
         if self._command is None:
             self._command = self._record()
         with on_torch_stream(self._state.lin_vel):
@@ -266,13 +309,11 @@ class SceneContact:
             return vector_view(name, tensor, (*envs, tensor.shape[-1]), device=device)
 
         inputs = [self._data, wp.from_torch(robot.mass), wp.from_torch(robot.inertia, dtype=wp.mat33)]
-        inputs += [
-            view(name, tensor) for name, tensor in zip(("com", "v0", "w0"), (robot.com, *self._first), strict=True)
-        ]
+        inputs += [view(name, tensor) for name, tensor in zip(("com", *_FIRST), (robot.com, *self._first), strict=True)]
         moved = [view(name, getattr(self._state, name)) for name in ("position", "attitude", "lin_vel", "ang_vel")]
         self._views = (inputs, moved)
         return RecordedLaunch(
-            _make_push(moves=self._moves, cores=self._cores),
+            _make_push(**self._kinds),
             dim=scene.num_envs,
             inputs=[*inputs, self._dt],
             outputs=moved,

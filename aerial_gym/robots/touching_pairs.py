@@ -52,6 +52,19 @@ def _shallowest(pairs: TouchingPairs) -> int:
     return found
 
 
+@wp.func
+def add_pairs(pairs: TouchingPairs, others: TouchingPairs) -> TouchingPairs:
+    """Return the deepest of two sets of pairs."""
+    for k in range(MAX_CONTACTS):
+        i = _shallowest(pairs)
+        if others.gaps[k] < pairs.gaps[i]:
+            pairs.gaps[i] = others.gaps[k]
+            pairs.levers[i] = others.levers[k]
+            pairs.normals[i] = others.normals[k]
+            pairs.surface_vels[i] = others.surface_vels[k]
+    return pairs
+
+
 CORNER = wp.constant(1.0e-3)
 """Share of half an edge within which a point is taken for the corner, which pushes anyway."""
 

@@ -92,10 +92,11 @@ class InScene:
         dt: float = 0.01,
         gravity: float = GRAVITY,
         backend: TorchBackend | WarpBackend | None = None,
+        moves: bool = True,
     ) -> None:
         """Take poses and velocities of the obstacles, (E, A, 13), and the state that is advanced in place.
 
-        The robot has spheres, or the shapes of ``body``.
+        The robot has spheres, or the shapes of ``body``. Obstacles keep their twists, unless nothing ``moves``.
         """
         num_envs, rows = state.num_envs, torch.arange(len(shapes))
         vehicle = vehicle_from_config(robot or robot_with(), num_envs=num_envs)
@@ -119,7 +120,7 @@ class InScene:
             dt=dt,
             crashes_out=self.crashes,
             impulse_out=self.impulse,
-            moving=_moving(shapes, asset_state),
+            moving=_moving(shapes, asset_state) if moves else None,
         )
         self.backend.allocate(build_model(vehicle, gravity=gravity), law, integrator=integrator, hook=contact)
         self._still = torch.zeros(num_envs, 4)

@@ -1,0 +1,352 @@
+"""Fast robots and thin obstacles: where a robot's shape would pass through a part within one substep, as Warp code.
+
+Contact pushes what overlaps at the end of a substep, away from the nearest surface. A robot that moves further than a part is
+thick would be behind it then. So its shapes are swept along the substep (``assets.sweep``). A shape *crosses* a part if it
+touches the part on the way, and at the end is below the plane of that touch without being pushed back above it.
+
+Each crossing gives this plane. The robot stops at the planes, at no greater depth than it had when it touched: it is shifted
+along their normals, and keeps its motion along them. The law of contact then acts on the depth that the robot would have
+reached. This depth is at most the speed times ``dt``, so the implicit law takes speed away and turns nothing round.
+The shifted path is swept again. After ``ROUNDS`` without a clear path the robot stays at its first pose.
+
+An obstacle that turns round or is wrapped within the substep is not swept here.
+Frames: world, z up; shapes in the frame of the body. Letters: E environments, C shapes.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from aerial_gym.assets.body_shapes import BodyShape
+from aerial_gym.assets.geometry import outward_normal, primitive_distance, primitive_normal, signed_distance, support
+from aerial_gym.assets.motion import instance_moves, moved, next_turning
+from aerial_gym.assets.nearest import Core, Nearest, nearest_of_core
+from aerial_gym.assets.obstacles import Obstacles
+from aerial_gym.assets.scene_arrays import ABSENT_BELOW, SceneArrays
+from aerial_gym.assets.shape_row import MESH, TRIANGLE, Shape
+from aerial_gym.assets.sweep import (
+    EDGE,
+    NEAR,
+    Path,
+    as_body_shape,
+    attitude_at,
+    face_of,
+    local_center,
+    make_touch_time,
+    path_between,
+    swept_box,
+)
+from aerial_gym.physics.fused.contact import point_velocity
+from aerial_gym.physics.fused.functions import rotate
+from aerial_gym.physics.fused.hook import Substep
+from aerial_gym.robots.touching_pairs import SceneMotion, TouchingPairs
+
+ROUNDS = wp.constant(4)  # as many as a vec4 has numbers
+"""Planes at which a robot can stop in one substep, and sweeps that look for them."""
+
+PASSES = 8
+"""Shifts along each normal in turn; between two walls at a right angle one is enough."""
+
+
+@wp.struct
+class Crossing:
+    """The first crossing of a substep."""
+
+    time: float  # of the touch, as a share of the substep; inf without one
+    normal: wp.vec3  # of the plane at the end of the substep, towards the robot, world
+    gap: float  # of the shape at the end of the substep, from the plane [m], < 0
+    floor: float  # at the touch, or 0 if that is smaller [m]
+    lever: wp.vec3  # from the centre of mass to the point that touched, world [m]
+    surface_vel: wp.vec3  # world [m/s]
+
+
+@wp.struct
+class Stop:
+    """Where a robot stops on its way."""
+
+    crosses: wp.bool  # whether anything is in its way
+    crashes: wp.bool  # whether it touches at the speed of a crash
+    pairs: TouchingPairs  # what it crosses
+    position: wp.vec3  # of the centre of mass, world [m]
+    attitude: wp.quat  # body to world
+
+
+@wp.func
+def _core_at(shape: Shape, other: Path, own: BodyShape, path: Path, t: float) -> Core:
+    """Return the core of the robot's shape in the frame of a part."""
+    core = Core()
+    core.center = local_center(shape, other, own, path, t)
+    core.turn = wp.quat_inverse(attitude_at(other, t) * shape.attitude) * attitude_at(path, t) * own.attitude
+    core.half = own.half
+    return core
+
+
+@wp.func
+def _depth_along(core: Core, normal: wp.vec3) -> float:
+    """Return how far a core reaches from its centre along a direction, or against it [m]."""
+    own = wp.quat_rotate_inv(core.turn, normal)
+    return wp.dot(core.half, wp.vec3(wp.abs(own[0]), wp.abs(own[1]), wp.abs(own[2])))
+
+
+@wp.func
+def _shift_above(pairs: TouchingPairs, floors: wp.vec4, count: int, shift: wp.vec3) -> wp.vec3:
+    """Return the shift [m] that puts a robot no deeper below any plane than its floor."""
+    for _k in range(wp.static(PASSES)):
+        for i in range(count):
+            deeper = floors[i] - pairs.gaps[i] - wp.dot(pairs.normals[i], shift)
+            shift += wp.max(deeper, 0.0) * pairs.normals[i]
+    return shift
+
+
+@cache
+def _make_nearest_pair(*, cores: bool) -> wp.Function:
+    @wp.func
+    def nearest_pair(solid: Shape, own: BodyShape, core: Core) -> Nearest:
+        """Return the nearest pair of a part, or of a face, and a shape that touches it; the point is on the shape."""
+        pair = Nearest()
+        pair.point = core.center
+        pair.distance = primitive_distance(solid, core.center)
+        pair.normal = primitive_normal(solid, core.center)
+        if wp.static(cores):  # noqa: SIM102 (only what stands alone is static)
+            if own.reach > own.radius:
+                found = nearest_of_core(solid, core, pair.distance)
+                if found.distance < pair.distance:
+                    pair = found
+        if solid.kind == TRIANGLE and pair.distance <= 0.0:
+            flat = wp.normalize(wp.cross(solid.center - solid.size, solid.half - solid.size))
+            pair.normal = wp.where(wp.dot(flat, core.center - solid.size) < 0.0, -1.0, 1.0) * flat
+        pair.point -= own.radius * pair.normal
+        return pair
+
+    return nearest_pair
+
+
+@cache
+def _make_push_at_end(*, cores: bool) -> wp.Function:
+    @wp.func
+    def push_at_end(shape: Shape, own: BodyShape, core: Core) -> wp.vec3:
+        """Return the direction in which contact pushes a shape, in the frame of the part; 0 if they are clearly apart."""
+        if wp.static(cores):  # noqa: SIM102 (only what stands alone is static)
+            if own.reach > own.radius:
+                limit = own.radius + 2.0 * NEAR + 2.0 * EDGE * (own.reach + shape.radius)
+                found = nearest_of_core(shape, core, limit)
+                return wp.where(found.distance < limit, 1.0, 0.0) * found.normal
+        if signed_distance(shape, core.center) < own.radius + 2.0 * NEAR:
+            return outward_normal(shape, core.center)
+        return wp.vec3()
+
+    return push_at_end
+
+
+@cache
+def make_find_stop(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
+    """Return the search; whether obstacles move, the robot has boxes or capsules, and any part is a mesh."""
+    touch_time = make_touch_time(cores=cores)
+    nearest_pair, push_at_end = _make_nearest_pair(cores=cores), _make_push_at_end(cores=cores)
+    obstacles_type: Any = Obstacles if moves else int
+
+    @wp.func
+    def meet_solid(
+        solid: Shape,
+        shape: Shape,
+        other: Path,
+        own: BodyShape,
+        path: Path,
+        done: Substep,
+        spin: wp.vec3,
+        lin_vel: wp.vec3,
+        least_approach: float,
+        push: wp.vec4,
+        found: Crossing,
+    ):
+        """Return the earlier crossing: the one found so far, or that of a part or face; and whether it touches like a crash.
+
+        ``push`` is what contact does to the shape at the end, and 1 once that is known; it comes back as well.
+        """
+        t = touch_time(solid, other, own, path, 0.0, wp.min(found.time, 1.0))
+        if t == wp.inf:
+            return found, wp.bool(False), push
+        core = _core_at(shape, other, own, path, t)
+        pair = nearest_pair(solid, own, core)
+        local = pair.normal
+        turn = attitude_at(other, t) * shape.attitude
+        normal = wp.quat_rotate(turn, local)
+        from_carrier = wp.quat_rotate(turn, pair.point) + wp.quat_rotate(attitude_at(other, t), shape.position)
+        surface_vel = lin_vel + wp.cross(spin, from_carrier)
+        arm = other.start + t * other.shift + from_carrier - path.start - t * path.shift
+        approach = wp.dot(
+            normal,
+            surface_vel - point_velocity(done.first_lin_vel, rotate(done.first_attitude, done.first_ang_vel), arm),
+        )
+        crashes = approach >= least_approach
+        reach = own.radius + _depth_along(core, local)
+        floor = wp.min(wp.dot(local, core.center) - reach - support(solid, local), 0.0)
+        end = _core_at(shape, other, own, path, 1.0)
+        reach = own.radius + _depth_along(end, local)
+        gap = wp.dot(local, end.center) - reach - support(solid, local)
+        if gap >= floor:
+            return found, crashes, push
+        if push[3] == 0.0:
+            direction = push_at_end(shape, own, end)
+            push = wp.vec4(direction[0], direction[1], direction[2], 1.0)
+        if wp.dot(wp.vec3(push[0], push[1], push[2]), local) > 0.0:
+            return found, crashes, push
+        turn = attitude_at(other, 1.0) * shape.attitude
+        found.time = t
+        found.normal = wp.quat_rotate(turn, local)
+        found.gap = gap
+        found.floor = floor
+        found.surface_vel = surface_vel
+        found.lever = wp.quat_rotate(attitude_at(path, 1.0), wp.quat_rotate_inv(attitude_at(path, t), arm))
+        return found, crashes, push
+
+    @wp.func
+    def meet_part(
+        shape: Shape,
+        other: Path,
+        own: BodyShape,
+        path: Path,
+        done: Substep,
+        spin: wp.vec3,
+        lin_vel: wp.vec3,
+        least_approach: float,
+        found: Crossing,
+    ):
+        """Return the same of a part, face by face of a mesh."""
+        solid = shape
+        crashes = wp.bool(False)
+        push = wp.vec4()
+        face = wp.int32(0)
+        is_mesh = wp.static(meshes) and shape.kind == MESH
+        if wp.static(meshes):  # noqa: SIM102 (only what stands alone is static)
+            if is_mesh:
+                middle, half = swept_box(shape, other, own, path, 0.0, 1.0)
+                query = wp.mesh_query_aabb(shape.mesh, middle - half, middle + half)
+        more = wp.bool(True)
+        while more:
+            if wp.static(meshes):  # noqa: SIM102 (only what stands alone is static)
+                if is_mesh:
+                    more = wp.mesh_query_aabb_next(query, face)
+                    if more:
+                        solid = face_of(shape, face)
+            if more:
+                found, fast, push = meet_solid(
+                    solid, shape, other, own, path, done, spin, lin_vel, least_approach, push, found
+                )
+                crashes = crashes or fast
+            more = more and is_mesh
+        return found, crashes
+
+    @wp.func
+    def first_crossing(
+        scene: SceneArrays,
+        motion: SceneMotion,
+        obstacles: obstacles_type,
+        sphere: wp.array[wp.vec4],
+        body: wp.array[BodyShape],
+        least_approach: float,
+        env: int,
+        done: Substep,
+        path: Path,
+        hull: float,
+    ):
+        """Return the first crossing of a path, and whether anything is touched at the speed of a crash."""
+        found = Crossing()
+        found.time = wp.inf
+        crashes = wp.bool(False)
+        end = path.start + path.shift
+        part = wp.int32(0)
+        while part < scene.num_solid:
+            row = scene.part_shape[env, part]
+            a = scene.part_instance[env, part]
+            is_there = row >= 0 and a >= 0
+            other = Path()
+            lin_vel = wp.vec3()
+            spin = wp.vec3()
+            if is_there:
+                x = scene.position[env, a]
+                q = scene.attitude[env, a]
+                is_there = x[2] > ABSENT_BELOW
+                other.start = x
+                other.attitude = q
+                lin_vel = motion.lin_vel[env, a]
+                spin = motion.ang_vel[env, a]
+                if wp.static(moves):  # noqa: SIM102 (only what stands alone is static)
+                    if is_there and instance_moves(obstacles, env, a):
+                        to, _q, _v = moved(obstacles, env, a, x, q, lin_vel, done.dt)
+                        if next_turning(obstacles, env, a, x, lin_vel, done.dt, 0.0) < 1.0:
+                            other.start = to
+                        else:
+                            other.shift = to - x
+                            other.turn = done.dt * obstacles.ang_vel[env, a]
+            if is_there:
+                shape = scene.shapes[row]
+                way = wp.length(path.shift - other.shift)
+                near = scene.radius[env, part] + hull + wp.length(shape.position) * wp.min(wp.length(other.turn), 2.0)
+                origin = other.start + other.shift + wp.quat_rotate(other.attitude, shape.position)
+                if wp.length(end - origin) < near + way + NEAR:
+                    c = wp.int32(0)
+                    while c < sphere.shape[0]:
+                        point = as_body_shape(sphere[c])
+                        found, fast = meet_part(shape, other, point, path, done, spin, lin_vel, least_approach, found)
+                        crashes = crashes or fast
+                        c += 1
+                    if wp.static(cores):
+                        c = wp.int32(0)
+                        while c < body.shape[0]:
+                            found, fast = meet_part(
+                                shape, other, body[c], path, done, spin, lin_vel, least_approach, found
+                            )
+                            crashes = crashes or fast
+                            c += 1
+            part += 1
+        return found, crashes
+
+    @wp.func
+    def find_stop(
+        scene: SceneArrays,
+        motion: SceneMotion,
+        obstacles: obstacles_type,
+        sphere: wp.array[wp.vec4],
+        body: wp.array[BodyShape],
+        hull: float,
+        least_approach: float,
+        env: int,
+        done: Substep,
+    ) -> Stop:
+        """Return where the robot stops; ``hull`` is the radius [m] of a ball about its origin. Obstacles have not moved yet."""
+        stop = Stop()
+        stop.position = done.position
+        stop.attitude = done.attitude
+        origin = done.position - rotate(done.attitude, done.com)
+        first = done.first_position - rotate(done.first_attitude, done.com)
+        path = path_between(done.com, first, done.first_attitude, origin, done.attitude)
+        whole = path.shift
+        shift = wp.vec3()
+        floors = wp.vec4()
+        count = wp.int32(0)
+        clear = wp.bool(False)
+        while count < ROUNDS and not clear:
+            path.shift = whole + shift
+            found, crashes = first_crossing(
+                scene, motion, obstacles, sphere, body, least_approach, env, done, path, hull + wp.length(done.com)
+            )
+            stop.crashes = stop.crashes or crashes
+            clear = found.time == wp.inf
+            if not clear:
+                stop.crosses = True
+                stop.pairs.gaps[count] = found.gap - wp.dot(found.normal, shift)
+                stop.pairs.levers[count] = found.lever
+                stop.pairs.normals[count] = found.normal
+                stop.pairs.surface_vels[count] = found.surface_vel
+                floors[count] = found.floor
+                count += 1
+                shift = _shift_above(stop.pairs, floors, count, shift)
+        stop.position += shift
+        if not clear:
+            stop.position = done.first_position
+            stop.attitude = done.first_attitude
+        return stop
+
+    return find_stop

@@ -1,0 +1,169 @@
+"""Firm contact at speed: no crossing of a part is missed, and nothing passes through a thin wall or pole.
+
+The crossings are those of ``test_sweep``: truth that shares no code with the package.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from aerial_gym.assets.cores import contact_points
+from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.shape import ShapeCfg
+from aerial_gym.interop.threads import one_thread
+from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
+from aerial_gym.physics import TorchBackend, WarpBackend
+from tests.physics.contact_rig import CPU, MASS, InScene, obstacle, robot_with, start
+from tests.physics.test_sweep import DT, HULLS, MESHES, PARTS, Motion, crossings, shape_of
+
+F32 = torch.float32
+ROUND = robot_with(inertia=(3e-3, 3e-3, 3e-3))
+"""Its free rotation keeps its rate."""
+FIRM = ContactCfg(friction=0.5)
+BACKENDS = [TorchBackend, WarpBackend]
+WALL = ShapeCfg(kind="box", size=(0.02, 50.0, 50.0))
+
+
+@pytest.fixture(autouse=True)
+def alone() -> Iterator[None]:
+    """Batches are small: threads would only wait for each other."""
+    with one_thread():
+        yield
+
+
+def tensor(values: np.ndarray) -> torch.Tensor:
+    return torch.as_tensor(values, dtype=F32)
+
+
+def in_flight(hull: str, shape: ShapeCfg, robot: Motion, other: Motion, backend=WarpBackend, *, moves: bool) -> InScene:
+    """Return vehicles and parts at the start of their motions, over one substep."""
+    attitude = tensor(robot.attitude.as_quat())
+    turn = tensor(robot.turns[0] / DT)
+    state = start(
+        len(attitude),
+        dtype=F32,
+        position=tensor(robot.start),
+        attitude=attitude,
+        lin_vel=tensor(robot.shifts[0] / DT),
+        ang_vel=quat_rotate_inverse(attitude, turn),
+    )
+    columns = (other.start, other.attitude.as_quat(), other.shifts[0] / DT, other.turns[0] / DT)
+    parts = tensor(np.concatenate(columns, axis=1)).unsqueeze(1)
+    return InScene(
+        [shape],
+        parts,
+        FIRM,
+        state,
+        body=(HULLS[hull],),
+        robot=ROUND,
+        dt=DT,
+        gravity=0.0,
+        backend=backend(),
+        moves=moves,
+    )
+
+
+@pytest.mark.parametrize("moves", [False, True], ids=["still", "moving"])
+@pytest.mark.parametrize("name", [*(name for name in PARTS if name != "plane"), *MESHES])
+@pytest.mark.parametrize("hull", HULLS)
+@pytest.mark.parametrize("flights", [10_000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_no_crossing_is_missed(hull: str, name: str, moves: bool, flights: int, tmp_path: Path) -> None:
+    """At 5 to 40 m/s, up to 30 rad/s, parts at up to 20 m/s and 20 rad/s, in one substep of 10 ms."""
+    shape, part = shape_of(name, tmp_path)
+    if name in MESHES and flights < 100_000:
+        flights = 100  # of many faces, up to 3 ms each
+    robot, other = crossings(HULLS[hull], part, flights, moves=moves, k=1)
+    rig = in_flight(hull, shape, robot, other, moves=moves)
+    rig.run(DT)
+    assert np.flatnonzero(~rig.crashes.numpy()).tolist() == []
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("hull", HULLS)
+@pytest.mark.parametrize("flights", [200, pytest.param(10_000, marks=pytest.mark.slow)])
+def test_nothing_passes_through_a_thin_wall(hull: str, backend, flights: int) -> None:
+    """A wall of 2 cm, at rest or coming at up to 20 m/s, met at 5 to 40 m/s and up to 30 rad/s, for half a second."""
+    rng = np.random.default_rng(3)
+    size = (flights, 3)
+    speed = rng.uniform(5.0, 40.0, size=flights)
+    lin_vel = np.stack((speed, *rng.uniform(-0.5, 0.5, size=(2, flights)) * speed), axis=1)
+    position = np.stack((rng.uniform(-1.0, -0.5, size=flights), *np.zeros((2, flights))), axis=1)
+    coming = np.zeros(size)
+    coming[::2, 0] = -rng.uniform(0.0, 20.0, size=len(coming[::2]))
+    state = start(
+        flights,
+        dtype=F32,
+        position=tensor(position),
+        lin_vel=tensor(lin_vel),
+        ang_vel=tensor(rng.uniform(-17.0, 17.0, size=size)),
+    )
+    parts = obstacle(flights, lin_vel=tensor(coming))
+    before = state.lin_vel.norm(dim=1)
+    points = contact_points([HULLS[hull]], device=CPU)[:, :3]
+    rig = InScene([WALL], parts, FIRM, state, body=(HULLS[hull],), robot=ROUND, dt=DT, gravity=0.0, backend=backend())
+    for _ in range(25):
+        rig.run(2 * DT)
+        ends = [state.position + quat_rotate(state.attitude, point.expand(flights, 3)) for point in points]
+        beyond = torch.stack(ends)[..., 0] - parts[:, 0, 0]
+        assert beyond.max() < 0.0
+    assert rig.crashes.all()
+    still = torch.arange(flights) % 2 == 1
+    assert (state.lin_vel.norm(dim=1) <= before)[still].all()  # nothing is fed
+    assert (state.lin_vel[:, 0] - parts[:, 0, 7]).abs().max() < 30.0
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_pole_met_at_its_middle_stops_a_ball(backend) -> None:
+    speed = torch.linspace(5.0, 40.0, 36)
+    state = start(36, dtype=F32, position=(-0.73, 0.0, 0.0))
+    state.lin_vel[:, 0] = speed
+    pole = ShapeCfg(kind="cylinder", radius=0.01, height=2.0)
+    rig = InScene(
+        [pole],
+        obstacle(36),
+        FIRM,
+        state,
+        spheres=((0.0, 0.0, 0.0, 0.05),),
+        robot=ROUND,
+        dt=DT,
+        gravity=0.0,
+        backend=backend(),
+    )
+    rig.run(0.5)
+    assert state.position[:, 0].max() < -0.03
+    assert state.lin_vel.norm(dim=1).max() < 0.5
+    assert rig.crashes.all()
+    torch.testing.assert_close(rig.impulse[:, 0], MASS * (state.lin_vel[:, 0] - speed), rtol=1e-4, atol=0.0)
+
+
+def test_a_room_of_thin_walls_holds_what_flies_in_it() -> None:
+    """Six walls of 2 cm, 1 m apart; balls at 40 m/s in all directions stay for a second."""
+    rng = np.random.default_rng(4)
+    flat = [ShapeCfg(kind="box", size=tuple(np.where(np.eye(3)[axis] > 0, 0.02, 1.2).tolist())) for axis in range(3)]
+    parts = torch.zeros(200, 6, 13)
+    parts[..., 6] = 1.0
+    for axis in range(3):
+        parts[:, 2 * axis, axis], parts[:, 2 * axis + 1, axis] = -0.5, 0.5
+    velocity = rng.normal(size=(200, 3))
+    state = start(200, dtype=F32, lin_vel=tensor(40.0 * velocity / np.linalg.norm(velocity, axis=1, keepdims=True)))
+    walls = [flat[0], flat[0], flat[1], flat[1], flat[2], flat[2]]
+    law = ContactCfg(friction=0.0, damping_ratio=0.0)
+    rig = InScene(
+        walls, parts, law, state, spheres=((0.0, 0.0, 0.0, 0.05),), robot=ROUND, dt=DT, gravity=0.0, moves=False
+    )
+    for _ in range(100):
+        rig.run(DT)
+        assert state.position.abs().max() < 0.5
+
+
+@pytest.mark.parametrize(("crash_speed", "crashes"), [(0.0, True), (19.0, True), (21.0, False)])
+def test_a_crossing_is_a_crash_from_its_speed_of_approach_on(crash_speed: float, crashes: bool) -> None:
+    """20 m/s towards the wall, and 15 m/s along it."""
+    state = start(1, dtype=F32, position=(-0.1, 0.0, 0.0), lin_vel=(20.0, 15.0, 0.0))
+    law = ContactCfg(friction=0.5, crash_speed=crash_speed)
+    rig = InScene([WALL], obstacle(1), law, state, spheres=((0.0, 0.0, 0.0, 0.05),), robot=ROUND, dt=DT, gravity=0.0)
+    rig.run(DT)
+    assert rig.crashes.tolist() == [crashes]
