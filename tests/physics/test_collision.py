@@ -254,16 +254,6 @@ def test_where_there_is_nothing_to_touch_the_distance_is_infinite(device: torch.
     assert measure(fixed(SPHERE, 1, device), torch.zeros(1, 3), spheres=())[0].item() == float("inf")
 
 
-def test_an_environment_alone_gives_the_same_bits_as_in_a_batch(device: torch.device) -> None:
-    scene = cluttered(20, device)
-    position = torch.randn(20, 3, generator=torch.Generator().manual_seed(5))
-    distance, _ = measure(scene, position)
-    for env in range(20):
-        state = scene.asset_state[env : env + 1].cpu()
-        alone = make_scene(list(scene.shape_table.shapes), state[..., :3], state[..., 3:7], device=device)
-        assert torch.equal(measure(alone, position[env : env + 1])[0], distance[env : env + 1])
-
-
 def test_wrong_outputs_are_refused(device: torch.device) -> None:
     scene = fixed(SPHERE, 2, device)
     position, attitude = torch.zeros(2, 3, device=device), torch.zeros(2, 4, device=device)

@@ -97,16 +97,6 @@ def test_both_backends_and_one_with_gradients_show_the_same_load() -> None:
     torch.testing.assert_close(ends[2], ends[0], atol=1e-4, rtol=1e-4)
 
 
-def test_an_environment_has_the_same_load_alone_and_among_others() -> None:
-    ends = []
-    for num in (5, 2):
-        env = make("warp", num_envs=num, mass=RandomizeCfg(how="value", low=0.02, high=0.1))
-        for _ in range(20):
-            env.step(torch.tensor([[0.7, 0.7, 0.8, 0.8]]).expand(num, -1))
-        ends.append(env.gtd["load_position"][:2].clone())
-    assert torch.equal(*ends)
-
-
 def test_a_robot_without_a_load_has_no_such_keys() -> None:
     env = EnvManager(
         sim=SIMS.get("base_sim"), env=ENVIRONMENTS.get("empty_env"), robot=ROBOTS.get("base_quadrotor"),

@@ -277,40 +277,6 @@ def test_a_random_mesh_matches_the_ray_caster_of_trimesh(device: torch.device, t
 # ---------------------------------------------------------------------------------------------- pinhole
 
 
-@pytest.mark.parametrize(("width", "height"), [(64, 64), (33, 21), (64, 21), (1, 1)])
-def test_a_wall_straight_ahead_has_one_depth_and_the_range_of_its_pixels(
-    width: int, height: int, device: torch.device
-) -> None:
-    """Depth of a plane at x = 3 is 3 everywhere; its range is 3 sqrt(1 + (u² + v²) / f²) for a pixel centre (u, v)."""
-    depth_camera = replace(CAMERA, width=width, height=height, kind="depth")
-    wall = ShapeCfg(kind="box", size=(0.2, 40.0, 40.0))
-    scene = make_scene([wall], torch.tensor([[[3.1, 0.0, 0.0]]]), level(1)[1][:, None], device=device)
-    depth, _ = shoot(depth_camera, scene, *level(1))
-    torch.testing.assert_close(depth, torch.full_like(depth, 3.0), rtol=0.0, atol=1e-6)
-    ranges, _ = shoot(replace(depth_camera, kind="range"), scene, *level(1))
-    focal = width / 2 / tan(radians(40.0))
-    u = torch.arange(width).double() + 0.5 - width / 2
-    v = torch.arange(height).double() + 0.5 - height / 2
-    expected = 3.0 * (1.0 + (u[None, :] ** 2 + v[:, None] ** 2) / focal**2).sqrt()
-    torch.testing.assert_close(ranges[0].double(), expected, rtol=0.0, atol=TOLERANCE)
-
-
-@pytest.mark.parametrize(("width", "height"), [(64, 64), (65, 45)])
-def test_a_floor_has_the_depth_of_its_pixel_row_up_to_grazing_rays(
-    width: int, height: int, device: torch.device
-) -> None:
-    """From h above a floor, level: depth = h f / v at v pixels below the horizon, whatever the column; no hit above it."""
-    camera = replace(CAMERA, width=width, height=height, hfov_deg=90.0, kind="depth", max_range=150.0)
-    floor = ShapeCfg(kind="box", size=(400.0, 400.0, 0.2))
-    scene = make_scene([floor], torch.tensor([[[0.0, 0.0, -0.1]]]), level(1)[1][:, None], device=device)
-    depth, ids = shoot(camera, scene, torch.tensor([[0.0, 0.0, 0.3]]), level(1)[1])
-    v = torch.arange(height).double() + 0.5 - height / 2
-    below = (v > 0.0).nonzero().ravel()
-    expected = 0.3 * (width / 2) / v[below]
-    torch.testing.assert_close(depth[0, below].double(), expected[:, None].expand(-1, width), rtol=0.0, atol=TOLERANCE)
-    assert (ids[0, v <= 0.0] == MISS_ID).all()
-
-
 @pytest.mark.parametrize("share", [0.02, 0.98])
 def test_an_edge_between_two_pixel_centres_divides_them(share: float, device: torch.device) -> None:
     """The left edge of a box lies 0.02 or 0.98 pixels right of the centre of column 20: columns from 21 on see the box."""
@@ -346,16 +312,6 @@ def test_depth_is_range_times_the_cosine_to_the_axis(device: torch.device) -> No
     hit = ranges[0] > 0.0
     assert 100 < hit.sum() < hit.numel()
     torch.testing.assert_close(depth[0][hit], (ranges[0] * cosine)[hit], rtol=1e-6, atol=0.0)
-
-
-def test_a_mounted_camera_looks_from_where_it_is_mounted(device: torch.device) -> None:
-    """Pitched down by 90 degrees at 0.25 m above a body at height 2: depth 2.25 in every pixel, also with the body yawed."""
-    camera = replace(CAMERA, kind="depth", position=(0.1, 0.0, 0.25), euler=(0.0, radians(90.0), 0.0))
-    floor = ShapeCfg(kind="box", size=(100.0, 100.0, 0.2))
-    scene = make_scene([floor], torch.tensor([[[0.0, 0.0, -0.1]]]), level(1)[1][:, None], device=device)
-    yawed = torch.tensor([[0.0, 0.0, 0.6, 0.8]])
-    depth, _ = shoot(camera, scene, torch.tensor([[0.0, 0.0, 2.0]]), yawed)
-    torch.testing.assert_close(depth, torch.full_like(depth, 2.25), rtol=0.0, atol=1e-5)
 
 
 def test_a_mount_turns_with_the_body(device: torch.device) -> None:
@@ -475,22 +431,6 @@ def test_a_parked_obstacle_is_absent_even_within_range(device: torch.device) -> 
     down = torch.tensor([[0.0, 0.5**0.5, 0.0, 0.5**0.5]])
     _, ids = shoot(replace(CAMERA, max_range=2000.0), scene, torch.tensor([[0.0, 0.0, PARKED_Z + 5.0]]), down)
     assert (ids == MISS_ID).all()
-
-
-def test_an_environment_alone_gives_the_same_bits_as_in_a_batch(device: torch.device) -> None:
-    scene = cluttered(5, device)
-    depth, ids = shoot(CAMERA, scene, *level(5))
-    for env in range(5):
-        state = scene.asset_state[env : env + 1].clone()
-        alone = Scene(
-            scene.shape_table.shapes,
-            shape_index=scene.shape_index[env],
-            semantic_id=scene.semantic_id[env],
-            asset_state=state,
-        )
-        one, one_ids = shoot(CAMERA, alone, *level(1))
-        assert torch.equal(one[0], depth[env])
-        assert torch.equal(one_ids[0], ids[env])
 
 
 def test_reset_puts_only_the_mounts_of_masked_environments_back(device: torch.device) -> None:

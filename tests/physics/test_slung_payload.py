@@ -1,7 +1,7 @@
 """The slung payload against closed forms, conservation laws and its order of convergence."""
 
 from dataclasses import replace
-from math import cos, exp, log2, pi, sqrt
+from math import cos, log2, pi, sqrt
 
 import pytest
 import torch
@@ -108,18 +108,6 @@ def test_the_coupled_motion_converges_with_the_order_of_the_stepper(integrator: 
         end, _ = fly_load(model, start, load, 0.2, steps, integrator)
         errors.append((torch.cat(end.tensors()[:4], dim=-1) - truth).norm().item())
     assert abs(log2(errors[0] / errors[1]) - order) < 0.1
-
-
-@pytest.mark.parametrize(("mass", "damping"), [pytest.param(2e-6, 2e-6, marks=pytest.mark.slow), (0.2, 0.1)])
-def test_damping_lets_the_swing_fade(mass: float, damping: float) -> None:
-    """x = x_0 exp(-s t) (cos w t + s / w sin w t), s = d / 2 (1 / m + 1 / M): d / 2 m below what a payload does not move."""
-    length, both = 1.0, 1.0 + mass / 0.373
-    model = hung(ROBOTS.get("tinyprop"), 1, [mass, length, damping])
-    decay = 0.5 * damping / mass * both
-    frequency = sqrt(G / length * both - decay**2)
-    period = 2.0 * pi / frequency
-    _, end = fly_load(model, hovering(model), load_at(1e-3), period, 200)
-    assert abs(end[0, 0].item() / (1e-3 * exp(-decay * period)) - 1.0) < 1e-4
 
 
 def test_damping_keeps_momentum_and_takes_the_energy_of_the_swing() -> None:

@@ -131,27 +131,6 @@ def test_a_step_equals_the_loop_over_its_substeps(motion: str) -> None:
     assert not one.gtd["crashes"].all()
 
 
-def test_an_environment_alone_touches_what_it_touches_among_others() -> None:
-    """Environments 0 to 2 of 64 and each of them alone, bit for bit, from the same poses."""
-    kept = tuple(
-        replace(asset, name=f"{asset.name}_{i}", count=1, shapes=(shape,), keep=True)
-        for asset in crowd(SPIN).assets
-        for i, shape in enumerate(asset.shapes)
-    )
-    cfg = replace(crowd(SPIN), assets=kept)
-    many = build(cfg, 64, num_others=0)
-    throw(many)
-    starts = many.gtd["env_asset_state_tensor"].clone()
-    many.step(torch.zeros(64, 4))
-    for e in range(3):
-        alone = build(cfg, 1, num_others=0)
-        throw(alone, slice(e, e + 1))
-        alone.gtd["env_asset_state_tensor"].copy_(starts[e : e + 1])
-        alone.step(torch.zeros(1, 4))
-        for key in ("robot_position", "env_asset_state_tensor", "robot_clearance", "crashes"):
-            assert torch.equal(many.gtd[key][e : e + 1], alone.gtd[key]), key
-
-
 def test_the_torch_backend_tells_the_same_substeps() -> None:
     """The same poses to float32 rounding of 10 substeps at 30 m/s, so the same crashes where nothing is that close."""
     ways = []

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import cos, pi, sin, sqrt
 
 import numpy as np
 import pytest
@@ -28,12 +27,11 @@ from aerial_gym.robots import ROBOTS
 from tests.physics.articulated.lagrange import Energies, coordinates
 from tests.physics.articulated.test_link_buoyancy import (
     crooked,
-    link,
     moving,
     of_one_link,
     under_water,
 )
-from tests.physics.articulated.test_link_drag import arm, fly, model_of
+from tests.physics.articulated.test_link_drag import fly, model_of
 from tests.physics.articulated.trees import F64, random_links, random_motion, random_tree
 
 G = 9.81
@@ -106,41 +104,6 @@ def test_a_current_carries_everything_along() -> None:
         back = replace(carried, position=carried.position - 0.015 * current, lin_vel=carried.lin_vel - current)
         for name, rows in vars(still).items():
             torch.testing.assert_close(getattr(back, name), rows, rtol=0.0, atol=1e-11)
-
-
-@pytest.mark.parametrize("force", [0.0, 1.2, 1.962])
-def test_a_pendulum_under_water_swings_with_the_water_that_it_moves(force: float) -> None:
-    """``(J + jy + (m + mx) l²) q'' = -(m g - F) l sin q``: water is not weighed; what is along the rod does nothing."""
-    mass, length, angles = 0.2, 0.5, (1e-4, 0.7, -2.5)
-    hinge = arm("rod", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0), link=link(mass, 0.0, 0.0, -length))
-    added = {"mx": 0.15, "rod.mz": 5.0, "my": 7.0, "jx": 2.0, "rod.jy": 0.01}
-    effects = {"link_buoyancy": {"rod.force": force}, "link_added_mass": added}
-    inertia, dt = 2e-3 + 0.01 + (mass + 0.15) * length**2, 1e-3
-    model, state = model_of(under_water((hinge,), effects, floating=False), gravity=G, num_envs=3)
-    angle = torch.tensor(angles, dtype=F64).unsqueeze(-1)
-    found = fly(model, replace(state, joint_pos=angle), dt, 1).joint_vel / dt
-    torch.testing.assert_close(found, -(mass * G - force) * length * angle.sin() / inertia, rtol=1e-12, atol=1e-12)
-    frequency = sqrt((mass * G - force) * length / inertia)
-    span, ends = 2.0, []
-    for steps in (40, 80):
-        model, state = model_of(under_water((hinge,), effects, floating=False), gravity=G)
-        state = replace(state, joint_pos=torch.full_like(state.joint_pos, angles[0]))
-        ends.append(float(fly(model, state, span / steps, steps).joint_pos[0, 0]) / angles[0])
-    assert 2.0 * ends[1] - ends[0] == pytest.approx(cos(frequency * span), abs=1e-2)
-
-
-def test_a_vane_in_a_current_turns_across_it() -> None:
-    """Munk: on a hinge through its centre ``(J + jz) q'' = (mx - my) v_x v_y`` with the current along its own axes: a rod,
-    whose my is the larger, turns away from the current until it lies across."""
-    hinge = arm("vane", (0.0, 0.0, 0.0), (0.2, 0.1, 0.0), link=link(0.1, 0.2, 0.1, 0.0))
-    effects = {"link_added_mass": {"vane.mx": 0.1, "vane.my": 0.6, "vane.jz": 0.01},
-               "constant_wind": {"x": 2.0, "y": 0.0, "z": 0.3}}  # fmt: skip
-    model, state = model_of(under_water((hinge,), effects, floating=False), num_envs=4, gravity=G)
-    angle = torch.tensor([[0.1], [-0.1], [0.5 * pi - 0.1], [0.5 * pi + 0.1]], dtype=F64)
-    found = fly(model, replace(state, joint_pos=angle), 1e-3, 1).joint_vel / 1e-3
-    expected = [(0.1 - 0.6) * 2.0 * cos(q) * -2.0 * sin(q) / (2.5e-3 + 0.01) for q in angle[:, 0].tolist()]
-    torch.testing.assert_close(found[:, 0], torch.tensor(expected, dtype=F64), rtol=1e-12, atol=0.0)
-    assert torch.sign(found[:, 0]).tolist() == [1.0, -1.0, 1.0, -1.0]  # away from the current, and to lie across
 
 
 def test_a_tree_of_one_link_moves_water_as_a_rigid_hull() -> None:

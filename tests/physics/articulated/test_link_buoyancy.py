@@ -1,13 +1,12 @@
 """Buoyancy of links against closed forms, heights and the rigid engine; on other backends in ``tests/cross``."""
 
 from dataclasses import replace
-from math import cos, pi, sin, sqrt
 
 import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.config.joint import JointCfg, LinkCfg, SpringCfg
+from aerial_gym.config.joint import JointCfg, LinkCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
@@ -75,37 +74,6 @@ def moving(state: JointedState, seed: int = 4) -> JointedState:
 
 
 FORCES = {"force": 2.0, "x": 0.01, "left.force": 3.5, "left.y": -0.03, "left.z": 0.05, "base.z": 0.1, "base.force": 8.0}
-
-
-@pytest.mark.parametrize("floats", [False, True])
-def test_a_pendulum_under_water_swings_by_what_is_left_of_its_weight(floats: bool) -> None:
-    """``(J + m l²) w² = m g l - F (l - b)`` for a centre of buoyancy b above that of mass; where water carries more than the
-    weight it swings about its upper rest, by the same with the sign turned. The step is of order 1."""
-    mass, length, above, force = 0.2, 0.5, 0.1, 5.0 if floats else 1.2
-    hinge = arm("rod", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0), link=link(mass, 0.0, 0.0, -length))
-    robot = under_water((hinge,), {"link_buoyancy": {"rod.force": force, "rod.z": above}}, floating=False)
-    start, left = 1e-4, mass * G * length - force * (length - above)
-    frequency = sqrt(abs(left) / (2e-3 + mass * length**2))
-    span, ends = 0.4 * pi / frequency, []
-    for steps in (40, 80):
-        model, state = model_of(robot, gravity=G)
-        state = replace(state, joint_pos=torch.full_like(state.joint_pos, start + pi * floats))
-        ends.append(float(fly(model, state, span / steps, steps).joint_pos[0, 0]) - pi * floats)
-    assert 2.0 * ends[1] - ends[0] == pytest.approx(start * cos(frequency * span), abs=2e-3 * start)
-
-
-def test_a_spring_holds_an_arm_against_a_centre_of_buoyancy_beside_that_of_mass() -> None:
-    """A neutral arm along x on a hinge about y comes to rest where ``k q = -F (x cos q + z sin q)``."""
-    stiffness, force, x, z = 0.5, 0.2 * G, 0.1, 0.15
-    spring = SpringCfg(stiffness=stiffness, damping=0.2)
-    hinge = arm(
-        "rod", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0), link=link(0.2, 0.3, 0.0, 0.0), spring=spring
-    )
-    robot = under_water((hinge,), {"link_buoyancy": {"rod.force": force, "rod.x": x, "rod.z": z}}, floating=False)
-    model, state = model_of(robot, gravity=G)
-    angle = float(fly(model, state, 0.2, 60).joint_pos[0, 0])
-    assert stiffness * angle == pytest.approx(-force * (x * cos(angle) + z * sin(angle)), abs=1e-12)
-    assert angle < -0.1  # the force lifts its end, about -y
 
 
 def test_a_neutral_tree_rests_in_any_attitude() -> None:

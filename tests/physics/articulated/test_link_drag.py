@@ -1,7 +1,6 @@
 """Drag of links against closed forms and conservation laws, on the reference engine; on the fused one in ``tests/cross``."""
 
 from dataclasses import replace
-from math import cos, exp, pi, sqrt, tanh
 
 import pytest
 import torch
@@ -18,7 +17,7 @@ from aerial_gym.physics.articulated.flight import jointed_step, link_damping
 from aerial_gym.physics.articulated.link_damping import LinkDamping, motion_in_air
 from aerial_gym.physics.articulated.motion import place_links
 from aerial_gym.physics.articulated.steppers import implicit_euler
-from aerial_gym.physics.articulated.tree import Joint, Links, Tree, TreeState
+from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.effects.link_drag import LinkDrag
 from aerial_gym.physics.model import Model, build_model, check_effects, robot_effects
 from aerial_gym.physics.state import JointedState, state_at_rest
@@ -65,15 +64,6 @@ def swing(
     return torch.cat((state.joint_pos, state.joint_vel))[:, 0]
 
 
-def test_linear_drag_damps_a_pendulum_by_half_of_it_over_the_mass() -> None:
-    """After one period ``a exp(-d T / 2 m)``, as ``m l² q'' + d l² q' + m g l q = 0``; the step is of order 1."""
-    linear, mass, length, start = 0.08, 0.2, 0.5, 1e-3
-    rate = linear / (2.0 * mass)
-    period = 2.0 * pi / sqrt(G / length - rate**2)
-    ends = [float(swing(period / number, period, start, linear=linear)[0]) for number in (150, 300)]
-    assert 2.0 * ends[1] - ends[0] == pytest.approx(start * exp(-rate * period), rel=1e-3)
-
-
 def test_quadratic_drag_slows_a_link_hyperbolically() -> None:
     """Without weight ``m l q'' = -d l² q'²``: ``q' = q0' / (1 + d l q0' t / m)``. The step ends with the speed of its start in
     ``q0' / (1 + d l q0' dt / m)``: it is exact at every length."""
@@ -81,28 +71,6 @@ def test_quadratic_drag_slows_a_link_hyperbolically() -> None:
     for dt in (0.25, 4e-3):
         rate = float(swing(dt, 1.0, 0.0, quadratic=quadratic, gravity=0.0)[1])
         assert rate == pytest.approx(2.0 / (1.0 + quadratic * length * 2.0 / mass), rel=1e-9)
-
-
-def test_turning_drag_slows_a_link_about_its_axis() -> None:
-    """A wheel on a stand: ``J q'' = -(a + b |q'|) q'``, in the mean of a step with the rate of its start; order 1."""
-    tree = Tree(joints=(Joint(parent=0),), floating=False)
-    links = Links(
-        mass=torch.ones(1, 2, dtype=F64),
-        com=torch.zeros(1, 2, 3, dtype=F64),
-        inertia=0.02 * torch.eye(3, dtype=F64).expand(1, 2, 3, 3),
-    )
-    a, b, inertia, first, span, ends = 0.03, 0.05, 0.02, 4.0, 0.5, []
-    for dt in (4e-3, 2e-3):
-        state = TreeState.at_rest(1, 1, like=links.mass)
-        state.joint_vel[:] = first
-        for _ in range(round(span / dt)):
-            state = implicit_euler(
-                tree, links, (), state, dt, gravity=G, damping=acting(tree, links, state, az=a, bz=b)[0]
-            )
-        ends.append(float(state.joint_vel[0, 0]))
-    fade = exp(-a * span / inertia)
-    expected = a * first * fade / (a + b * first * (1.0 - fade))
-    assert 2.0 * ends[1] - ends[0] == pytest.approx(expected, rel=1e-3)
 
 
 def dragged(mass: float, joints: tuple[JointCfg, ...], drag: dict[str, float], **others: dict[str, float]) -> RobotCfg:
@@ -155,45 +123,6 @@ def fly(model: Model, state: JointedState, dt: float, steps: int) -> JointedStat
     for _ in range(steps):
         state = jointed_step(model, state, state.rotor_speed, state.joint_pos[:, :0], dt)
     return state
-
-
-def test_drag_of_a_link_alone_makes_the_terminal_speed_of_the_whole() -> None:
-    """A base of 1 kg falls under 0.2 kg on a free joint, which brake it as a parachute does and stay above it:
-    ``v = -sqrt(M g / d) tanh(t sqrt(g d / M))``."""
-    above = LinkCfg(mass=0.2, com=(0.0, 0.0, 0.5), inertia=((1e-3, 0.0, 0.0), (0.0, 1e-3, 0.0), (0.0, 0.0, 1e-3)))
-    quadratic, span, ends = 1.5, 0.6, []
-    robot = dragged(1.0, (arm("chute", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0), link=above),), {
-        "chute.qx": quadratic, "chute.qy": quadratic, "chute.qz": quadratic
-    })  # fmt: skip
-    for dt in (4e-3, 2e-3):
-        model, state = model_of(robot, gravity=G)
-        state = fly(model, state, dt, round(span / dt))
-        assert cos(float(state.joint_pos[0, 0])) == 1.0
-        ends.append(float(state.lin_vel[0, 2]))
-    terminal = sqrt(1.2 * G / quadratic)
-    assert 2.0 * ends[1] - ends[0] == pytest.approx(-terminal * tanh(span * G / terminal), rel=1e-3)
-
-
-@pytest.mark.parametrize("bent", [0.0, 1.2, -1.2])
-def test_an_arm_that_has_moved_is_felt_where_it_is(bent: float) -> None:
-    """Two arms along y in wind along +x turn nothing. Where the left one points forward, the right one reaches further out: the
-    whole turns about +z, where the right one does, about -z. The torque about the origin is ``d u (y_right - y_left)``."""
-    drag, wind, dt = 0.05, 4.0, 1e-5
-    layout = tuple(arm(n, (0.0, 0.4 * s, 0.0), (0.0, 0.1 * s, 0.0)) for n, s in (("left", 1.0), ("right", -1.0)))
-    air = {"x": wind, "y": 0.0, "z": 0.0}
-    robot = dragged(1.0, layout, {"lx": drag, "ly": drag, "base.lx": 0.0, "base.ly": 0.0}, constant_wind=air)
-    model, state = model_of(robot)
-    angles = torch.tensor([[-max(bent, 0.0), -min(bent, 0.0)]], dtype=F64)  # the left one turns to the right, and so on
-    state = fly(model, replace(state, joint_pos=angles), dt, 1)
-    reach = [0.1 + 0.3 * cos(float(angle)) for angle in state.joint_pos[0]]
-    torque = drag * wind * (reach[1] - reach[0])
-    assert model.articulation is not None
-    links = model.articulation.links(model.vehicle)
-    tree = TreeState(**{name: rows for name, rows in vars(state).items() if name != "rotor_speed"})
-    momentum, spin = momenta(model.articulation.tree, links, tree)
-    torch.testing.assert_close(momentum[0, 0], torch.tensor(2.0 * drag * wind * dt, dtype=F64), rtol=1e-4, atol=0.0)
-    assert float(spin[0, 2]) == pytest.approx(torque * dt, rel=1e-3, abs=1e-15)
-    assert torch.sign(spin[0, 2].round(decimals=15)) == (0.0 if bent == 0.0 else torch.sign(torch.tensor(bent)))
 
 
 @pytest.mark.parametrize("floating", [True, False])
@@ -271,20 +200,6 @@ def test_the_step_with_drag_is_of_order_one() -> None:
     exact = ends[3] * 8 / 3 - 2 * ends[2] + ends[1] / 3  # what is left of order 1 and 2 drops out
     errors = [float((each - exact).norm()) for each in ends[:2]]
     assert torch.tensor(errors[0] / errors[1]).log2() == pytest.approx(1.0, abs=0.1)
-
-
-def test_what_moves_with_the_air_feels_nothing() -> None:
-    """Without weight at the wind's velocity, arms at rest; and what is let go at rest comes to move so."""
-    wind = {"x": 3.0, "y": -1.0, "z": 0.5}
-    arms = (arm("left", (0.0, 0.4, 0.0), (0.0, 0.1, 0.0)), arm("right", (0.1, -0.4, 0.0), (0.0, -0.1, 0.0)))
-    drag = {"lx": 5.0, "ly": 9.0, "lz": 4.0, "qx": 1.0, "ax": 0.5, "ay": 0.5, "az": 0.5}
-    model, state = model_of(dragged(1.0, arms, drag, constant_wind=wind))
-    velocity = torch.tensor([[3.0, -1.0, 0.5]], dtype=F64)
-    state = fly(model, replace(state, lin_vel=velocity), 0.01, 20)
-    torch.testing.assert_close(state.lin_vel, velocity, rtol=0.0, atol=1e-13)
-    torch.testing.assert_close(state.joint_vel, torch.zeros_like(state.joint_vel), rtol=0.0, atol=1e-12)
-    state = fly(model, replace(state, lin_vel=0.0 * velocity), 0.02, 200)
-    torch.testing.assert_close(state.lin_vel, velocity, rtol=0.0, atol=1e-6)
 
 
 def test_a_number_of_a_link_stands_in_place_of_that_of_all() -> None:

@@ -202,18 +202,6 @@ def test_removable_assets_of_several_kinds_are_shuffled(device: torch.device) ->
     assert torch.equal(manager.scene.shape_index + 1, ids)
 
 
-def test_the_same_seed_gives_the_same_worlds_and_another_seed_others(device: torch.device) -> None:
-    states, kinds = [], []
-    for seed in (1, 1, 2):
-        manager, gtd, _ = make_manager(OBSTACLES, 4, device, seed=seed)
-        begin(manager, every(4, device))
-        states.append(gtd["env_asset_state_tensor"])
-        kinds.append(manager.scene.shape_index)
-    assert torch.equal(states[0], states[1])
-    assert torch.equal(kinds[0], kinds[1])
-    assert not torch.equal(states[0], states[2])
-
-
 def test_states_can_live_in_the_memory_of_another_tensor(device: torch.device) -> None:
     """The obstacles are rows 1 and up of a root tensor whose row 0, the robot, is never written."""
     root = torch.full((3, 45, 13), 7.0, device=device)
@@ -267,18 +255,6 @@ def test_every_shipped_environment_places_all_its_obstacles_over_its_bounds(name
     assert (position >= lower[:, None] - 0.11).all()
     assert (position <= upper[:, None] + 0.11).all()
     assert position.shape[1] == cfg.num_assets
-
-
-def test_restarting_a_seed_draws_the_same_places_again(device: torch.device) -> None:
-    manager, gtd, _ = make_manager(OBSTACLES, 4, device, seed=5)
-    states = []
-    for seed in (5, 6, 5):
-        manager.random.restart(seed)
-        manager.restart()
-        begin(manager, every(4, device))
-        states.append(gtd["env_asset_state_tensor"].clone())
-    assert torch.equal(states[0], states[2])
-    assert not torch.equal(states[0], states[1])
 
 
 def test_what_the_kernels_read_lives_as_long_as_the_manager(device: torch.device) -> None:

@@ -97,43 +97,6 @@ def test_reset_draws_inside_the_declared_ranges() -> None:
     assert gtd["robot_euler_angles"][:, 2].abs().max() <= 0.53
 
 
-def test_same_seed_same_flight_and_another_seed_another() -> None:
-    a, b, c = build(seed=1), build(seed=1), build(seed=2)
-    for env in (a, b, c):
-        fly(env)
-    assert torch.equal(a.gtd["robot_state_tensor"], b.gtd["robot_state_tensor"])
-    assert not torch.equal(a.gtd["robot_state_tensor"], c.gtd["robot_state_tensor"])
-
-
-def test_two_environments_of_different_size_do_not_disturb_each_other() -> None:
-    alone = build(3, seed=5)
-    fly(alone)
-    first, second = build(3, seed=5), build(7, env_name="env_with_obstacles", seed=9)
-    second.reset()
-    first.reset()
-    for i in range(5):
-        second.step(torch.zeros(7, 4))
-        first.step(torch.tensor([1.0, 0.2 * i, 0.1, 0.3]).expand(3, 4))
-    assert torch.equal(first.gtd["robot_state_tensor"], alone.gtd["robot_state_tensor"])
-
-
-def test_environment_of_a_batch_is_the_same_alone_in_physics() -> None:
-    """Row i of a batch, copied into a batch of one, flies the same flight."""
-    batch, single = build(6), build(1)
-    batch.reset()
-    single.reset()
-    for mine, theirs in zip(
-        single.robot_manager.tensors.state.tensors(), batch.robot_manager.tensors.state.tensors(), strict=True
-    ):
-        mine.copy_(theirs[4:5])
-    for _ in range(50):
-        batch.step(torch.tensor([0.5, -0.2, 0.1, 0.3]).expand(6, 4))
-        single.step(torch.tensor([[0.5, -0.2, 0.1, 0.3]]))
-    torch.testing.assert_close(
-        single.gtd["robot_state_tensor"], batch.gtd["robot_state_tensor"][4:5], atol=1e-5, rtol=1e-5
-    )
-
-
 def test_actions_are_kept_at_the_rate_of_environment_steps() -> None:
     env = build(env_name="env_with_obstacles")
     env.reset()

@@ -93,25 +93,6 @@ def test_quantities_and_environments_are_independent() -> None:
     assert correlation.abs().max() < 5.0 / len(columns) ** 0.5
 
 
-def test_a_draw_depends_on_seed_environment_and_episode_alone() -> None:
-    whole, _ = draws(64, seed=3)
-    again, _, initial = make(64, seed=3)
-    late = torch.zeros(64, dtype=torch.bool)
-    late[10:20] = True
-    initial.reset(late)
-    initial.reset(~late)
-    assert torch.equal(again.position, whole.position)
-    first = again.position.clone()
-    initial.reset(late)
-    assert (again.position[late] != first[late]).any(-1).all()
-    assert torch.equal(again.position[~late], first[~late])
-    initial.random.restart(3)
-    initial.reset(torch.ones(64, dtype=torch.bool))
-    assert torch.equal(again.position, first)
-    other, _ = draws(64, seed=4)
-    assert (other.position != first).any(-1).all()
-
-
 def test_what_follows_from_the_motion_is_written_with_it() -> None:
     state, derived = draws(256)
     turn = quat_rotate(state.attitude, state.ang_vel)

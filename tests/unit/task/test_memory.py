@@ -34,18 +34,6 @@ MAKERS = pytest.mark.parametrize("maker", [rich, seeing])
 
 
 @MAKERS
-def test_an_environment_is_the_same_alone_among_few_and_many(maker: Callable[..., Task]) -> None:
-    flights = {}
-    for num_envs, first in ((4, 0), (37, 0), (1, 2)):
-        task = maker(num_envs, seed=1, first_env=first)
-        task.reset()
-        flights[num_envs] = fly(task, first)
-    assert_same(flights[4], flights[37], slice(4))
-    assert_same(flights[1], flights[37], slice(2, 3))
-    assert (flights[37][-1]["command"].std(dim=0) > 0.01).all()
-
-
-@MAKERS
 def test_a_saved_state_goes_on_the_same_in_another_task(maker: Callable[..., Task]) -> None:
     task, other = maker(5, seed=1), maker(5, seed=2)
     task.reset()

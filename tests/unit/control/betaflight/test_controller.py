@@ -171,14 +171,6 @@ def test_windup_slows_the_integral_of_yaw_alone_and_integrals_have_a_limit() -> 
     assert float(memory.numbers[0, 0]) == pytest.approx(0.1)
 
 
-def test_airmode_keeps_torques_at_zero_throttle() -> None:
-    """Corrections of +-0.2 at no throttle: it rises by 0.2, and the differences stay."""
-    mix = torch.tensor([[0.2, -0.2, 0.2, -0.2]], dtype=F64)
-    signal, used = mixed(torch.zeros(1, 4, dtype=F64), mix, airmode=True)
-    torch.testing.assert_close(signal, torch.tensor([[0.4, 0.0, 0.4, 0.0]], dtype=F64))
-    assert float(used) == pytest.approx(0.4)
-
-
 @pytest.mark.parametrize(
     ("throttle", "mix", "signal"),
     [
@@ -237,17 +229,6 @@ def test_without_airmode_zero_throttle_holds_the_integrals_at_zero() -> None:
         assert bool((run(law, [*told, [-1.0, 0.1, 0.0, 0.1]])[1].numbers[0, [0, 2]] > 0.0).all()) is kept
 
 
-def test_full_throttle_gives_way_and_too_large_corrections_fill_the_range() -> None:
-    """Without airmode, throttle 0.3 leaves corrections 0.8 of the range: differences of 0.8, about a throttle of 0.4."""
-    mix = torch.tensor([[0.2, -0.2, 0.1, -0.1]], dtype=F64)
-    for airmode, filled in ((True, [1.0, 0.0, 0.75, 0.25]), (False, [0.8, 0.0, 0.6, 0.2])):
-        full, _ = mixed(torch.ones(1, 4, dtype=F64), mix, airmode=airmode)
-        torch.testing.assert_close(full, torch.tensor([[1.0, 0.6, 0.9, 0.7]], dtype=F64))
-        large, used = mixed(torch.full((1, 4), 0.3, dtype=F64), 10.0 * mix, airmode=airmode)
-        torch.testing.assert_close(large, torch.tensor([filled], dtype=F64))
-        assert float(used) == pytest.approx(4.0)
-
-
 def test_in_the_loop_airmode_turns_the_vehicle_at_no_throttle() -> None:
     """Thrust 0 and 100 deg/s with P = 45: the differences of the signals are those at hover; without it half of them."""
     for airmode, share in ((True, 1.0), (False, 0.5)):
@@ -284,12 +265,6 @@ def test_derived_gains_are_those_of_the_other_rate_loop() -> None:
         action[0, 1 + axis] = size
         expected = pid.rotor_command(still(), action) - hover
         torch.testing.assert_close(law_of(own).rotor_command(still(), action) - hover, expected, rtol=1e-3, atol=1e-9)
-
-
-def test_robots_come_to_rest_under_derived_gains() -> None:
-    for robot in ("racing_quadrotor", "base_quadrotor", "x500", "typhoon_hexarotor", "crazyflie_21_brushless"):
-        cfg = CONTROLLERS.get(NAME)
-        check_closed_loop(ROBOTS.get(robot), cfg, gravity=9.81, dt=0.004, integrator="euler", names=(robot, NAME))
 
 
 def with_rotor_lag(seconds: float) -> RobotCfg:

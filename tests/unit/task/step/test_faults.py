@@ -76,11 +76,6 @@ def test_so_many_episodes_have_it() -> None:
     assert float(had.double().mean()) == pytest.approx(share, abs=5.0 * (share * (1.0 - share) / count) ** 0.5)
 
 
-def test_a_fault_does_not_depend_on_the_batch() -> None:
-    together, alone = flown(6, JUMP)[1], flown(1, JUMP, first_env=4)[1]
-    assert torch.equal(together[:, 4:5], alone)
-
-
 def test_faults_that_do_not_fit_are_refused() -> None:
     term = ObservationCfg(term="robot_position", fault="gps")
     with pytest.raises(ConfigError, match="no fault 'gps'. Known: none"):
