@@ -35,6 +35,18 @@ def test_a_file_and_a_module_hold_tasks(tmp_path: Path, monkeypatch: pytest.Monk
     assert (made.num_envs, made.cfg.episode_len_steps) == (2, 7)
 
 
+def test_a_file_may_extend_a_registered_task(tmp_path: Path) -> None:
+    """Mappings are merged, null takes away, and lists are given whole."""
+    file = tmp_path / "mine.yaml"
+    file.write_text(
+        "extends: tracking_task\nepisode_len_steps: 7\nrewards: {calm: null}\nobservations: {policy: [{term: attitude}]}\n"
+    )
+    base, mine = task_registry.get("tracking_task"), task_registry.get(str(file))
+    assert (mine.episode_len_steps, mine.robot) == (7, base.robot)
+    assert list(mine.rewards) == [name for name in base.rewards if name != "calm"]
+    assert [entry.term for entry in mine.observations["policy"]] == ["attitude"]
+
+
 def test_a_file_may_bring_terms_of_its_own(tmp_path: Path) -> None:
     """They stand beside it, wherever it is read from; a file that is not there is told by name."""
     (tmp_path / "my_terms.py").write_text(
