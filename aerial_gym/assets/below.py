@@ -11,7 +11,7 @@ from aerial_gym.assets.scene import Scene
 from aerial_gym.assets.scene_arrays import SceneArrays, part_attitude, part_is_present, part_position
 from aerial_gym.assets.shape_row import CYLINDER
 from aerial_gym.assets.views import check_tensor, vector_view
-from aerial_gym.interop import RecordedLaunch, on_torch_stream
+from aerial_gym.interop import RecordedLaunch
 
 FARTHEST = wp.constant(1.0e4)
 """Length of the ray [m]: what is farther below is not there."""
@@ -70,11 +70,10 @@ class SurfaceBelow:
             _look_down,
             dim=scene.num_envs,
             inputs=[scene.arrays, vector_view("position", position, (scene.num_envs, 3), device=scene.device)],
-            outputs=[wp.from_torch(height_out.view(-1))],
-            device=wp.device_from_torch(scene.device),
+            outputs=[height_out.view(-1)],
+            device=scene.device,
         )
 
     def find(self) -> None:
         """Write the heights; launched on torch's current stream, not waited for."""
-        with on_torch_stream(self._out):
-            self._launch.launch()
+        self._launch.launch(self._out)

@@ -162,21 +162,19 @@ class BetweenLinks:
             _meet,
             dim=len(self._out),
             inputs=[*self._fixed, *poses, is_step],
-            outputs=[wp.from_torch(self._out), wp.from_torch(crashes)],
+            outputs=[self._out, crashes],
             device=self._place,
             block_dim=BLOCK_DIM,
         )
 
     def measure(self) -> None:
         """Write the distances of the present poses; launched on torch's current stream, not waited for."""
-        with on_torch_stream(self._out):
-            self._now.launch()
+        self._now.launch(self._out)
 
     def step(self) -> None:
         """Set crashes, write the distances after the last substep; launched likewise."""
         assert self._step is not None
-        with on_torch_stream(self._out):
-            self._step.launch()
+        self._step.launch(self._out)
 
 
 def pairs_apart(

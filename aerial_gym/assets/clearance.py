@@ -14,7 +14,7 @@ from aerial_gym.assets.geometry import signed_distance
 from aerial_gym.assets.obstacles import Obstacles, draw_instance
 from aerial_gym.assets.scene import PARKED_Z, Scene
 from aerial_gym.assets.scene_arrays import ABSENT_BELOW, SceneArrays, part_attitude, part_position
-from aerial_gym.interop import RecordedLaunch, on_torch_stream
+from aerial_gym.interop import RecordedLaunch
 from aerial_gym.math.random import take_mask
 
 NUM_ATTEMPTS = 16
@@ -111,18 +111,14 @@ class Clearance:
         self._scene = scene
         self._first_part, self._end_part = (torch.zeros_like(scene.shape_index) for _ in range(2))
         self.restart()
-        parts = [wp.from_torch(rows) for rows in (self._first_part, self._end_part)]
-        inputs = [wp.from_torch(self._mask), scene.arrays, *parts]
-        inputs += [wp.from_torch(self._point, dtype=wp.vec3)]
-        start = wp.from_torch(self._start, dtype=wp.vec3)
-        self._kept_alive = (inputs, start, obstacles)
+        inputs = [self._mask, scene.arrays, self._first_part, self._end_part, self._point]
         self._commands = [
             RecordedLaunch(
                 _clear,
                 dim=obstacles.asset.shape,
                 inputs=[*inputs, which, room, NUM_ATTEMPTS, PARKED_Z],
-                outputs=[start, obstacles],
-                device=wp.device_from_torch(device),
+                outputs=[self._start, obstacles],
+                device=device,
             )
             for which in (START, GOAL)
         ]
@@ -143,5 +139,4 @@ class Clearance:
         """
         take_mask(self._mask, mask)
         self._point.copy_(point)
-        with on_torch_stream(self._mask):
-            self._commands[which].launch()
+        self._commands[which].launch(self._mask)

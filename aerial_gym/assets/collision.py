@@ -98,7 +98,6 @@ class CollisionTest:
         self._scene, self._out, self._moving = scene, distance_out, moving
         self.has_solids = scene.num_solid > 0
         """Whether there is anything to touch."""
-        self._kept_alive: list[object] = []
         self._nothing = torch.zeros(0, dtype=torch.bool, device=scene.device)
         self._now: list[list[RecordedLaunch]] = []
         if self.has_solids:
@@ -156,7 +155,6 @@ class CollisionTest:
             wp.from_torch(self._out),
             wp.from_torch(crashes),
         ]
-        self._kept_alive.append((inputs, outputs))  # launches do not keep the memory that they read
         shared = scene.device.type == "cuda"
         return [
             RecordedLaunch(
@@ -165,7 +163,7 @@ class CollisionTest:
                 inputs=[*inputs, first],
                 outputs=outputs,
                 block_dim=BLOCK_DIM if shared else 1,
-                device=wp.device_from_torch(scene.device),
+                device=scene.device,
                 tiled=True,
             )
             for first, count in self._chunks()

@@ -13,7 +13,7 @@ from aerial_gym.assets.asset_table import BOUNCE, PASS, STILL, TWIST, WAYPOINTS,
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene_arrays import ABSENT_BELOW
 from aerial_gym.assets.views import check_tensor
-from aerial_gym.interop import RecordedLaunch, on_torch_stream
+from aerial_gym.interop import RecordedLaunch
 
 
 @wp.func
@@ -154,20 +154,16 @@ class Motion:
         """
         shape = (*obstacles.asset.shape, 6)
         check_tensor("twists", twists, shape, device=twists.device, dtype=torch.float32)
-        self._twists, self._kept_alive, dim = twists, obstacles, obstacles.asset.shape
+        self._twists, dim = twists, obstacles.asset.shape
         device = wp.device_from_torch(twists.device)
         self._advance = moving_on(obstacles, 0.0)
-        self._take = RecordedLaunch(
-            _set_twists, dim=dim, inputs=[wp.from_torch(twists)], outputs=[obstacles], device=device
-        )
+        self._take = RecordedLaunch(_set_twists, dim=dim, inputs=[twists], outputs=[obstacles], device=device)
 
     def step(self, dt: float) -> None:
         """Move everything by ``dt`` [s]; launched on torch's current stream, not waited for."""
         self._advance.set_param_at_index(0, dt)
-        with on_torch_stream(self._twists):
-            self._advance.launch()
+        self._advance.launch(self._twists)
 
     def take_twists(self) -> None:
         """Give the instances that move by twist those of the tensor; launched likewise."""
-        with on_torch_stream(self._twists):
-            self._take.launch()
+        self._take.launch(self._twists)

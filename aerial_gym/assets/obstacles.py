@@ -9,6 +9,7 @@ from torch import Tensor
 
 from aerial_gym.assets.asset_table import WAYPOINTS, AssetRow
 from aerial_gym.assets.views import vector_view
+from aerial_gym.interop import make_struct
 from aerial_gym.math.draws import RandomArrays, draw_vec3, quat_of_angles, random_arrays, stream_of, substream
 from aerial_gym.math.random import Purpose, Randomness
 
@@ -47,15 +48,20 @@ def view_obstacles(
         asset: Row of every instance, int32, (E, A), contiguous.
         bounds: Lower and upper corner [m], world, each (E, 3).
     """
-    arrays = Obstacles()
-    arrays.table, arrays.asset = table, wp.from_torch(asset)
-    arrays.bounds_min, arrays.bounds_max = (wp.from_torch(corner, dtype=wp.vec3) for corner in bounds)
-    arrays.random = random_arrays(random)
+    low, high = bounds
+    arrays = make_struct(
+        Obstacles,
+        table=table,
+        asset=asset,
+        bounds_min=low,
+        bounds_max=high,
+        random=random_arrays(random),
+        waypoint_a=waypoints[:, :, 0],
+        waypoint_b=waypoints[:, :, 1],
+    )
     for name, columns in (("position", (0, 3)), ("attitude", (3, 7)), ("lin_vel", (7, 10)), ("ang_vel", (10, 13))):
         view = state[..., slice(*columns)]
         setattr(arrays, name, vector_view(name, view, tuple(view.shape), device=state.device))
-    arrays.waypoint_a = wp.from_torch(waypoints[:, :, 0], dtype=wp.vec3)
-    arrays.waypoint_b = wp.from_torch(waypoints[:, :, 1], dtype=wp.vec3)
     return arrays
 
 

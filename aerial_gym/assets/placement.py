@@ -10,7 +10,7 @@ from torch import Tensor
 from aerial_gym.assets.obstacles import Obstacles, draw_instance
 from aerial_gym.assets.scene import PARKED_Z
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg
-from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp
+from aerial_gym.interop import RecordedLaunch, start_warp
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, random_arrays, stream_of
 from aerial_gym.math.random import Purpose, Randomness, counted_state, counted_uniform, take_mask
@@ -52,15 +52,15 @@ class Bounds:
         limits = (cfg.bounds_lower_low, cfg.bounds_lower_high, cfg.bounds_upper_low, cfg.bounds_upper_high)
         lower.copy_(torch.tensor(limits[0], device=device))
         upper.copy_(torch.tensor(limits[2], device=device))
-        self._mask, self._kept_alive = random.mask, (lower, upper, random)
+        self._mask = random.mask
         self._command: RecordedLaunch | None = None
         if limits[0] != limits[1] or limits[2] != limits[3]:
             self._command = RecordedLaunch(
                 _draw_bounds,
                 dim=envs,
-                inputs=[wp.from_torch(self._mask), random_arrays(random), *(wp.vec3(*limit) for limit in limits)],
-                outputs=[wp.from_torch(corner, dtype=wp.vec3) for corner in (lower, upper)],
-                device=wp.device_from_torch(device),
+                inputs=[self._mask, random_arrays(random), *(wp.vec3(*limit) for limit in limits)],
+                outputs=[lower, upper],
+                device=device,
                 block_dim=BLOCK_DIM,
             )
 
@@ -68,8 +68,7 @@ class Bounds:
         """Draw for the environments in ``mask``, bool (E,); launched on torch's current stream, not waited for."""
         if self._command is not None:
             take_mask(self._mask, mask)
-            with on_torch_stream(self._mask):
-                self._command.launch()
+            self._command.launch(self._mask)
 
 
 def draw_kinds(assets: tuple[AssetCfg, ...], random: Randomness) -> tuple[Tensor, Tensor]:
@@ -130,12 +129,12 @@ class Placement:
             num_kept: Instances that are always present, the first rows.
             num_others: How many of the others are, int32, (1,); read at every launch.
         """
-        self._mask, self._kept_alive = mask, (obstacles, num_others)
+        self._mask = mask
         asked = wp.from_torch(mask)
         self._command = RecordedLaunch(
             _place,
             dim=obstacles.asset.shape,
-            inputs=[asked, num_kept, wp.from_torch(num_others), PARKED_Z],
+            inputs=[asked, num_kept, num_others, PARKED_Z],
             outputs=[obstacles],
             device=asked.device,
             block_dim=BLOCK_DIM,
@@ -143,5 +142,4 @@ class Placement:
 
     def draw(self) -> None:
         """Place the obstacles; launched on torch's current stream, not waited for."""
-        with on_torch_stream(self._mask):
-            self._command.launch()
+        self._command.launch(self._mask)

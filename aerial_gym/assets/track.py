@@ -12,7 +12,7 @@ from torch import Tensor
 
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.config.track import LayoutCfg, TrackCfg
-from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp
+from aerial_gym.interop import RecordedLaunch, make_struct, start_warp
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, quat_of_angles, random_arrays, stream_of, substream
 from aerial_gym.math.random import Purpose, Randomness
@@ -217,10 +217,8 @@ def _layout_of(cfg: LayoutCfg | None) -> Layout:
 
 
 def _places(tensors: Sequence[Tensor]) -> Places:
-    places = Places()
-    places.gate_position, places.pole_position = (wp.from_torch(tensors[i], dtype=wp.vec3) for i in (0, 2))
-    places.gate_attitude = wp.from_torch(tensors[1], dtype=wp.quat)
-    return places
+    position, attitude, pole = tensors
+    return make_struct(Places, gate_position=position, gate_attitude=attitude, pole_position=pole)
 
 
 class TrackPlacement:
@@ -248,23 +246,21 @@ class TrackPlacement:
         device = start.device
         lists = [[gate.position for gate in cfg.gates], [gate.euler for gate in cfg.gates], cfg.poles]
         given = [torch.tensor(rows, device=device, dtype=torch.float32).reshape(-1, 3) for rows in lists]
-        track = Track()
-        track.gate_position, track.gate_euler, track.pole = (wp.from_torch(rows, dtype=wp.vec3) for rows in given)
+        track = make_struct(Track, gate_position=given[0], gate_euler=given[1], pole=given[2])
         for name in ("gate_position", "gate_euler", "pole"):
             for end in ("low", "high"):
                 setattr(track, f"{name}_{end}", wp.vec3(*getattr(cfg, f"{name}_{end}")))
         track.layout = _layout_of(cfg.layout)
-        self._mask, self._kept_alive = random.mask, (given, nominal, places, start, obstacles, random)
+        self._mask = random.mask
         self._command = RecordedLaunch(
             _draw_track,
             dim=start.shape[0],
-            inputs=[wp.from_torch(self._mask), wp.from_torch(start, dtype=wp.vec3), random_arrays(random), track],
+            inputs=[self._mask, start, random_arrays(random), track],
             outputs=[_places(nominal), _places(places), obstacles],
-            device=wp.device_from_torch(device),
+            device=device,
             block_dim=BLOCK_DIM,
         )
 
     def draw(self) -> None:
         """Draw for the environments of the mask that ``random`` keeps; launched on torch's current stream, not waited for."""
-        with on_torch_stream(self._mask):
-            self._command.launch()
+        self._command.launch(self._mask)

@@ -1,5 +1,6 @@
 """The command ``aerial-gym bench``: one subcommand per part of the simulator."""
 
+import sys
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -26,5 +27,13 @@ class BenchCmd:
     """What is measured."""
 
     def run(self) -> int:
-        """Measure and print; return the exit status."""
-        return self.what.run()
+        """Measure and print; return the exit status: 1 if the workload did not do its work."""
+        from aerial_gym.workloads.measure import WorkloadError
+
+        try:
+            return self.what.run()
+        except WorkloadError as error:
+            print(
+                f"aerial-gym bench {type(self.what).__name__.removesuffix('Bench').lower()}: {error}", file=sys.stderr
+            )
+            return 1

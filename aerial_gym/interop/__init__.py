@@ -6,15 +6,16 @@ from aerial_gym.lazy import exports
 
 if TYPE_CHECKING:
     from aerial_gym.interop.devices import plain_device, resolve_device
-    from aerial_gym.interop.launches import RecordedLaunch, compile_ahead, wait_for
+    from aerial_gym.interop.launches import RecordedLaunch, compile_ahead, make_struct, on_torch_stream, wait_for
     from aerial_gym.interop.settings import usual_settings, with_usual_settings
-    from aerial_gym.interop.streams import on_device, on_torch_stream, recorded, start_warp
+    from aerial_gym.interop.streams import on_device, recorded, start_warp
     from aerial_gym.interop.threads import launch_side_by_side, one_thread, split
 
 __all__ = [
     "RecordedLaunch",
     "compile_ahead",
     "launch_side_by_side",
+    "make_struct",
     "on_device",
     "on_torch_stream",
     "one_thread",

@@ -5,12 +5,15 @@ recorded at its first use. Threads compile its module meanwhile, side by side wi
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager, nullcontext
 from functools import cache, cached_property
+from typing import Any
 
 import torch
 import warp as wp
+from torch import Tensor
 
 MAX_WORKERS = 4
 """Modules that are compiled at the same time, at most. Each worker reads Warp's headers once for itself, which takes 2 s."""
@@ -79,6 +82,17 @@ def wait_for_all() -> None:
     wait(_begun.values())
 
 
+@contextmanager
+def on_torch_stream(tensor: Tensor) -> Iterator[None]:
+    """Run the Warp launches inside on the torch stream of ``tensor``'s device; on the CPU there is nothing to join."""
+    if tensor.device.type != "cuda":
+        yield
+        return
+    stream = wp.stream_from_torch(torch.cuda.current_stream(tensor.device))
+    with wp.ScopedStream(stream, sync_enter=False):  # no event on Warp's own stream: a capture would refuse it
+        yield
+
+
 class RecordedLaunch:
     """A launch with everything fixed, to be repeated.
 
@@ -92,16 +106,18 @@ class RecordedLaunch:
         dim: int | Sequence[int],
         inputs: Sequence[object],
         outputs: Sequence[object] = (),
-        device: wp.Device,
+        device: wp.Device | torch.device,
         block_dim: int = 256,
         tiled: bool = False,
     ) -> None:
         """Take what ``warp.launch`` takes, or ``warp.launch_tiled`` if it is ``tiled``.
 
-        The caller keeps alive what ``inputs`` and ``outputs`` are views of.
+        A tensor becomes an array of the type that the kernel declares. All arguments are kept alive.
         """
+        device = wp.device_from_torch(device) if isinstance(device, torch.device) else device
         self._kernel, self._device = kernel, device
-        self._given = {"dim": dim, "inputs": inputs, "outputs": outputs, "block_dim": block_dim}
+        arguments = [self._argument(place, value) for place, value in enumerate((*inputs, *outputs))]
+        self._given = {"dim": dim, "inputs": arguments, "block_dim": block_dim}
         self._launch = wp.launch_tiled if tiled else wp.launch
         compile_ahead(kernel, device, block_dim=block_dim)
 
@@ -111,13 +127,31 @@ class RecordedLaunch:
         wait_for(self._kernel, self._device, block_dim=self._given["block_dim"])
         command = self._launch(self._kernel, device=self._device, record_cmd=True, **self._given)
         assert isinstance(command, wp.Launch)
-        del self._given
         return command
 
     def set_param_at_index(self, index: int, value: object) -> None:
         """Replace an argument."""
-        self.command.set_param_at_index(index, value)
+        self.command.set_param_at_index(index, self._argument(index, value))
 
-    def launch(self) -> None:
-        """Launch it; on a GPU on Warp's current stream, not waited for."""
-        self.command.launch()
+    def launch(self, like: Tensor | None = None) -> None:
+        """Launch it, and do not wait: on the current stream of Warp, or of torch on the device of a tensor."""
+        with nullcontext() if like is None else on_torch_stream(like):
+            self.command.launch()
+
+    def _argument(self, place: int, value: object) -> object:
+        return _as_declared(value, self._kernel.adj.args[place].type)
+
+
+def make_struct(kind: Any, **values: object) -> Any:
+    """Return a Warp struct with values in its fields; a tensor becomes an array of the declared type and is kept alive."""
+    struct = kind()
+    for name, value in values.items():
+        setattr(struct, name, _as_declared(value, kind.cls.__annotations__[name]))
+    return struct
+
+
+def _as_declared(value: object, kind: Any) -> object:
+    """Return a tensor as an array of a kind, and anything else as it is."""
+    if not isinstance(value, Tensor):
+        return value
+    return wp.from_torch(value, dtype=kind.dtype if hasattr(kind.dtype, "_wp_scalar_type_") else None)

@@ -7,7 +7,6 @@ from contextlib import contextmanager, nullcontext
 
 import torch
 import warp as wp
-from torch import Tensor
 
 from aerial_gym.errors import StorageError
 from aerial_gym.interop.kernel_log import KernelLog
@@ -85,15 +84,4 @@ def recorded(graph: torch.cuda.CUDAGraph, device: torch.device, *, errors: str =
     wait_for_all()
     stream = torch.cuda.Stream(device)
     with on_device(device), torch.cuda.graph(graph, stream=stream, capture_error_mode=errors):
-        yield
-
-
-@contextmanager
-def on_torch_stream(tensor: Tensor) -> Iterator[None]:
-    """Run the Warp launches inside on the torch stream of ``tensor``'s device; on the CPU there is nothing to join."""
-    if tensor.device.type != "cuda":
-        yield
-        return
-    stream = wp.stream_from_torch(torch.cuda.current_stream(tensor.device))
-    with wp.ScopedStream(stream, sync_enter=False):  # no event on Warp's own stream: a capture would refuse it
         yield

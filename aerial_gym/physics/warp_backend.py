@@ -13,7 +13,15 @@ from torch import Tensor
 
 from aerial_gym.config.rotor import ROTOR_TRAITS
 from aerial_gym.errors import CapabilityError, ShapeError
-from aerial_gym.interop import RecordedLaunch, compile_ahead, launch_side_by_side, on_torch_stream, split, start_warp
+from aerial_gym.interop import (
+    RecordedLaunch,
+    compile_ahead,
+    launch_side_by_side,
+    make_struct,
+    on_torch_stream,
+    split,
+    start_warp,
+)
 from aerial_gym.math.draws import random_arrays
 from aerial_gym.math.random import Randomness
 from aerial_gym.math.warp_functions import vector_of
@@ -325,16 +333,13 @@ class WarpBackend:
         """Return ``MemoryArrays``, or None where no effect remembers anything."""
         if not self._model.effects.remembering:
             return None
-        arrays, slots = MemoryArrays(), num_past_commands(self._model, dt)
+        slots = num_past_commands(self._model, dt)
         memory = self._memory
         if memory is None or memory.past.shape[0] != slots * self._num_rotors:
             memory = make_memory(self._model, dt, random=self._random)
             rows = {"numbers": memory.numbers.T.contiguous(), "past": memory.past.flatten(1).T.contiguous()}
             self._memory = memory = replace(memory, **rows)
-        arrays.numbers, arrays.past = wp.from_torch(memory.numbers), wp.from_torch(memory.past)
-        arrays.since, arrays.slots = wp.from_torch(memory.since), slots
-        arrays.random = random_arrays(memory.random)
-        return arrays
+        return make_struct(MemoryArrays, **memory.tensors(), slots=slots, random=random_arrays(memory.random))
 
     def _law_arrays(self, dt: float) -> Any:
         """Return ``LawArrays``, or None where the law remembers nothing."""
@@ -346,10 +351,7 @@ class WarpBackend:
             height = replace(needs, width=max(needs.width, 1), past=max(needs.past, 1))
             fresh = fresh_law_memory(height, self._num_envs, self._model.vehicle.mass)
             self.law_memory = replace(fresh, numbers=fresh.numbers.T.contiguous(), past=fresh.past.T.contiguous())
-        arrays = LawArrays()
-        arrays.numbers, arrays.past = wp.from_torch(self.law_memory.numbers), wp.from_torch(self.law_memory.past)
-        arrays.since = wp.from_torch(self.law_memory.since)
-        return arrays
+        return make_struct(LawArrays, **self.law_memory.tensors())
 
     def step(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> None:
         """Advance ``state`` in place: one launch, on torch's current stream, that waits for nothing."""
@@ -382,7 +384,7 @@ class WarpBackend:
                     dim=count,
                     inputs=[*inputs, first, self._memory_arrays, self._hook_data, *creep],
                     outputs=[*arrays, *ground[3:]],
-                    device=wp.device_from_torch(self._device),
+                    device=self._device,
                     block_dim=BLOCK_DIM,
                 )
             )

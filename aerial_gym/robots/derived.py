@@ -9,7 +9,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp
+from aerial_gym.interop import RecordedLaunch, make_struct, start_warp
 from aerial_gym.interop.rows.transport import load_quat, store_row, store_vector
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.warp_functions import euler_of
@@ -156,32 +156,23 @@ class DerivedStates:
         start_warp()
         self._like = state.position
         self._checked = checked = checked or Checked.nothing(state)
-        self.arrays = DerivedArrays()
-        self.arrays.ang_vel_world = wp.from_torch(ang_vel_world, dtype=wp.vec3)
-        self.arrays.lin_vel_body = wp.from_torch(lin_vel_body, dtype=wp.vec3)
-        self.arrays.vehicle_attitude = wp.from_torch(vehicle_attitude, dtype=wp.quat)
-        self.arrays.vehicle_lin_vel = wp.from_torch(vehicle_lin_vel, dtype=wp.vec3)
-        self.arrays.euler = wp.from_torch(euler, dtype=wp.vec3)
-        self.arrays.root_state = wp.from_torch(root_state)
+        self.arrays = make_struct(
+            DerivedArrays,
+            ang_vel_world=ang_vel_world,
+            lin_vel_body=lin_vel_body,
+            vehicle_attitude=vehicle_attitude,
+            vehicle_lin_vel=vehicle_lin_vel,
+            euler=euler,
+            root_state=root_state,
+        )
         self._command = RecordedLaunch(
             _derive,
             dim=state.num_envs,
-            inputs=[
-                wp.from_torch(state.position, dtype=wp.vec3),
-                wp.from_torch(state.attitude, dtype=wp.quat),
-                wp.from_torch(state.lin_vel, dtype=wp.vec3),
-                wp.from_torch(state.ang_vel, dtype=wp.vec3),
-                wp.from_torch(state.rotor_speed),
-                wp.from_torch(checked.actions),
-                self.arrays,
-                wp.from_torch(checked.non_finite),
-                wp.from_torch(checked.crashes),
-            ],
-            device=wp.device_from_torch(self._like.device),
+            inputs=[*state.tensors()[:5], checked.actions, self.arrays, checked.non_finite, checked.crashes],
+            device=self._like.device,
             block_dim=BLOCK_DIM,
         )
 
     def refresh(self) -> None:
         """Write what follows from the motion of this instant; launched on torch's current stream, not waited for."""
-        with on_torch_stream(self._like):
-            self._command.launch()
+        self._command.launch(self._like)

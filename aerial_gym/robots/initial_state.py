@@ -7,7 +7,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import InitialStateCfg
-from aerial_gym.interop import RecordedLaunch, on_torch_stream
+from aerial_gym.interop import RecordedLaunch, make_struct
 from aerial_gym.interop.rows import RowWork
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, quat_of_angles, random_arrays, stream_of
@@ -130,17 +130,16 @@ class StepBegin:
         self._command = RecordedLaunch(
             _begin_step,
             dim=tuple(actions.shape),
-            inputs=[wp.from_torch(actions)],
-            outputs=[wp.from_torch(tensor) for tensor in (actions, prev_actions, noticed.episode_step, *noticed.flags)],
-            device=wp.device_from_torch(actions.device),
+            inputs=[actions],
+            outputs=[actions, prev_actions, noticed.episode_step, *noticed.flags],
+            device=actions.device,
         )
 
     def take(self, given: Tensor) -> None:
         """Begin with an action, (E, U); launched on torch's current stream, not waited for."""
         given = given.detach().to(self._actions).contiguous()
-        self._command.set_param_at_index(0, wp.from_torch(given))
-        with on_torch_stream(self._actions):
-            self._command.launch()
+        self._command.set_param_at_index(0, given)
+        self._command.launch(self._actions)
 
 
 class InitialState:
@@ -170,35 +169,31 @@ class InitialState:
         """
         self._mask = random.mask
         noticed = noticed or Noticed.nothing(state)
-        self._kept_alive = random, noticed
-        ranges = Ranges()
-        for name, value in vars(cfg).items():
-            setattr(ranges, name, wp.vec3(*value))
-        given = StartArrays()
-        given.random, given.ranges, given.derived = random_arrays(random), ranges, derived.arrays
-        given.bounds_min, given.bounds_max = (wp.from_torch(corner, dtype=wp.vec3) for corner in bounds)
-        given.attitude = wp.from_torch(state.attitude, dtype=wp.quat)
-        for name in ("position", "lin_vel", "ang_vel"):
-            setattr(given, name, wp.from_torch(getattr(state, name), dtype=wp.vec3))
-        given.crashes, given.truncations = (wp.from_torch(flag) for flag in noticed.flags)
-        for name, tensor in (
-            ("rest_speed", rest_speed),
-            ("non_finite", noticed.bits),
-            ("episode_step", noticed.episode_step),
-            ("rotor_speed", state.rotor_speed),
-            ("actions", actions),
-            ("prev_actions", prev_actions),
-            ("count", noticed.count),
-            ("rows", noticed.rows),
-        ):
-            setattr(given, name, wp.from_torch(tensor))
+        given = make_struct(
+            StartArrays,
+            random=random_arrays(random),
+            ranges=make_struct(Ranges, **{name: wp.vec3(*value) for name, value in vars(cfg).items()}),
+            derived=derived.arrays,
+            bounds_min=bounds[0],
+            bounds_max=bounds[1],
+            crashes=noticed.flags[0],
+            truncations=noticed.flags[1],
+            rest_speed=rest_speed,
+            non_finite=noticed.bits,
+            episode_step=noticed.episode_step,
+            actions=actions,
+            prev_actions=prev_actions,
+            count=noticed.count,
+            rows=noticed.rows,
+            **{name: getattr(state, name) for name in ("position", "attitude", "lin_vel", "ang_vel", "rotor_speed")},
+        )
         self.work = RowWork(function=start_row, given_type=StartArrays, given=given)
         """What begins one environment, for a kernel that does more."""
         self._command = RecordedLaunch(
             _start,
             dim=state.num_envs,
-            inputs=[wp.from_torch(self._mask), given],
-            device=wp.device_from_torch(state.position.device),
+            inputs=[self._mask, given],
+            device=state.position.device,
             block_dim=BLOCK_DIM,
         )
 
@@ -209,5 +204,4 @@ class InitialState:
 
     def __call__(self) -> None:
         """Do so for those in the mask that ``random`` keeps."""
-        with on_torch_stream(self._mask):
-            self._command.launch()
+        self._command.launch(self._mask)

@@ -25,7 +25,7 @@ from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.robot import CollisionShape
 from aerial_gym.errors import ShapeError
-from aerial_gym.interop import RecordedLaunch, on_torch_stream
+from aerial_gym.interop import RecordedLaunch
 from aerial_gym.math.warp_functions import rotate
 from aerial_gym.physics import BodyState
 from aerial_gym.physics.contact import position_share
@@ -297,8 +297,7 @@ class SceneContact:
             kept.copy_(getattr(before, name))
         if self._command is None:
             self._command = self._record()
-        with on_torch_stream(self._state.lin_vel):
-            self._command.launch()
+        self._command.launch(self._state.lin_vel)
 
     def _record(self) -> RecordedLaunch:
         scene, robot, envs, device = self._scene, self._robot, (self._scene.num_envs,), self._scene.device
@@ -317,5 +316,5 @@ class SceneContact:
             dim=scene.num_envs,
             inputs=[*inputs, self._dt],
             outputs=moved,
-            device=wp.device_from_torch(device),
+            device=device,
         )

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from aerial_gym.config.storage import told_storage
 from aerial_gym.errors import ConfigError
-from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp
+from aerial_gym.interop import RecordedLaunch, start_warp
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.robots.finite import NonFinite
 from aerial_gym.robots.noticed import KEPT_ROWS, Noticed, take_place
@@ -140,9 +140,9 @@ class Watch:
         self._command = RecordedLaunch(
             _remember,
             dim=num_envs,
-            inputs=[wp.from_torch(tensor) for tensor in inputs],
-            outputs=[wp.from_torch(tensor) for tensor in outputs],
-            device=wp.device_from_torch(self._device),
+            inputs=inputs,
+            outputs=outputs,
+            device=self._device,
         )
 
     def keep(self, actions: Tensor, ended: Tensor) -> None:
@@ -151,8 +151,7 @@ class Watch:
             return
         self._action.copy_(actions)
         self._ended.copy_(ended)
-        with on_torch_stream(self._action):
-            self._command.launch()
+        self._command.launch(self._action)
 
     def forget(self) -> None:
         """Begin the steps of every row anew, as all are reset."""

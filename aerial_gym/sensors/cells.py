@@ -100,7 +100,6 @@ class NearestInCells:
         arrays = wp.from_torch(image[:, 0]), wp.from_torch(self.nearest.view(-1, rows, columns))
         size = -(-height // rows), -(-width // columns)
         lanes, together = _sharing(size, image.device)
-        self._kept_alive = (image, arrays)
         self._launches = [
             RecordedLaunch(
                 make_pool(lanes=lanes, rows=together),
@@ -108,7 +107,7 @@ class NearestInCells:
                 inputs=[arrays[0], *size, largest, empty, first],
                 outputs=[arrays[1]],
                 block_dim=BLOCK_DIM,
-                device=wp.device_from_torch(image.device),
+                device=image.device,
             )
             for first, count in self._chunks(image)
         ]

@@ -28,7 +28,7 @@ from torch import Tensor
 from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.config.imu import ImuCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp, with_usual_settings
+from aerial_gym.interop import RecordedLaunch, make_struct, start_warp, with_usual_settings
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, random_arrays, stream_of, substream
 from aerial_gym.math.random import Purpose, Randomness, take_mask
@@ -320,21 +320,22 @@ class Imu:
         inputs = [motion, unit, random_arrays(self._random), number, self._make_outputs()]
         launch = {"dim": envs, "device": wp.device_from_torch(device), "block_dim": BLOCK_DIM}
         self._measure_command = RecordedLaunch(_measure, inputs=inputs, **launch)
-        self._reset_command = RecordedLaunch(_reset, inputs=[wp.from_torch(self._mask), *inputs], **launch)
+        self._reset_command = RecordedLaunch(_reset, inputs=[self._mask, *inputs], **launch)
 
     def _make_outputs(self) -> Outputs:
-        out = Outputs()
-        out.sample = wp.from_torch(self._sample)
-        out.point_vel = wp.from_torch(self._point_vel, dtype=wp.vec3)
-        out.position = wp.from_torch(self.mount_position, dtype=wp.vec3)
-        out.mount = wp.from_torch(self.mount_attitude, dtype=wp.quat)
-        out.bias = wp.from_torch(self.bias.view(-1, 2, 3), dtype=wp.vec3)
-        out.clock, out.steps, out.place = (wp.from_torch(t) for t in (self._clock, self._steps, self._place))
-        out.force_sum = wp.from_torch(self._force_sum, dtype=wp.vec3)
-        out.fresh = wp.from_torch(self._fresh.view(-1, 2, 3), dtype=wp.vec3)
-        out.line = wp.from_torch(self._line.view(*self._line.shape[:2], 2, 3), dtype=wp.vec3)
-        out.measurement = wp.from_torch(self.measurement.view(-1, 2, 3), dtype=wp.vec3)
-        return out
+        pairs = {"bias": self.bias, "fresh": self._fresh, "line": self._line, "measurement": self.measurement}
+        return make_struct(
+            Outputs,
+            sample=self._sample,
+            point_vel=self._point_vel,
+            position=self.mount_position,
+            mount=self.mount_attitude,
+            clock=self._clock,
+            steps=self._steps,
+            place=self._place,
+            force_sum=self._force_sum,
+            **{name: rows.unflatten(-1, (2, 3)) for name, rows in pairs.items()},
+        )
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return what must be kept to go on, by name."""
@@ -357,8 +358,7 @@ class Imu:
 
         Launched on torch's current stream, not waited for.
         """
-        with on_torch_stream(self.measurement):
-            self._measure_command.launch()
+        self._measure_command.launch(self.measurement)
 
     def reset(self, mask: Tensor) -> None:
         """Begin anew in the environments of ``mask``, bool (E,), from their present state; others stay bit for bit.
@@ -368,8 +368,7 @@ class Imu:
         Launched on torch's current stream, not waited for.
         """
         take_mask(self._mask, mask)
-        with on_torch_stream(self._mask):
-            self._reset_command.launch()
+        self._reset_command.launch(self._mask)
 
 
 def _make_unit(cfg: ImuCfg, pose: Pose, dt: float, gravity: float) -> Unit:

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from aerial_gym.config.placement import PlacementCfg
 from aerial_gym.config.sensor import RangeSensorCfg
-from aerial_gym.interop import RecordedLaunch, on_torch_stream
+from aerial_gym.interop import RecordedLaunch
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import (
     RandomArrays,
@@ -88,16 +88,16 @@ class Places:
         """From the body origin [m], body, (E, S, 3)."""
         self.attitude = nominal.attitude.float().to(device).expand(*rows, 4).clone()
         """Sensor to body, xyzw, (E, S, 4)."""
-        self._mask, self._kept_alive = random.mask, random
+        self._mask = random.mask
         place = place_range(cfg, nominal)
         self.is_drawn = bool(place.is_drawn)
         """Whether they differ between episodes."""
         self._command = RecordedLaunch(
             _place_sensors,
             dim=rows,
-            inputs=[wp.from_torch(self._mask), random_arrays(random), number, place],
-            outputs=[wp.from_torch(self.position, dtype=wp.vec3), wp.from_torch(self.attitude, dtype=wp.quat)],
-            device=wp.device_from_torch(device),
+            inputs=[self._mask, random_arrays(random), number, place],
+            outputs=[self.position, self.attitude],
+            device=device,
             block_dim=BLOCK_DIM,
         )
 
@@ -107,8 +107,7 @@ class Places:
         Launched on torch's current stream, not waited for.
         """
         take_mask(self._mask, mask)
-        with on_torch_stream(self._mask):
-            self._command.launch()
+        self._command.launch(self._mask)
 
 
 def place_range(cfg: PlacementCfg, nominal: Pose) -> PlaceRange:

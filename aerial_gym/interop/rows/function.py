@@ -12,10 +12,10 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.interop.launches import compile_ahead, wait_for
+from aerial_gym.interop.launches import compile_ahead, on_torch_stream, wait_for
 from aerial_gym.interop.rows.source import WARP_TYPES, write
 from aerial_gym.interop.rows.tracing import trace
-from aerial_gym.interop.streams import BLOCK_DIM, on_torch_stream, start_warp
+from aerial_gym.interop.streams import BLOCK_DIM, start_warp
 
 _kernels: dict[str, wp.Kernel] = {}
 """By source: two functions that do the same share a kernel."""

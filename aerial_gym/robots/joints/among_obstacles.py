@@ -88,31 +88,16 @@ class LinksAmongObstacles:
         self._places, self._stream = LinkPlaces(robot.joints, state, links, None), crashes_out
         self._move = None if moving is None else moving_on(moving, dt)
         self._kept_alive = (scene, links, moving)
-        types, columns = (wp.vec3, wp.quat, wp.vec3, wp.vec3), ((0, 3), (3, 7), (7, 10), (10, 13))
         self._looks: list[RecordedLaunch] = []
         for number, name in enumerate(links.names):
             shapes = robot.collision.on(name)
             if not shapes:
                 continue
-            own = links.state[:, number]
-            points = contact_points(shapes, device=scene.device)
-            self._looks.append(RecordedLaunch(
-                _notice,
-                dim=scene.num_envs,
-                inputs=[
-                    scene.arrays,
-                    scene_motion(scene),
-                    wp.from_torch(points, dtype=wp.vec4),
-                    body_shapes(shapes, device=scene.device),
-                    cfg.least_approach,
-                    *(
-                        wp.from_torch(own[:, low:high], dtype=kind)
-                        for kind, (low, high) in zip(types, columns, strict=True)
-                    ),
-                ],
-                outputs=[wp.from_torch(crashes_out)],
-                device=wp.device_from_torch(scene.device),
-            ))  # fmt: skip
+            own, points = links.state[:, number], contact_points(shapes, device=scene.device)
+            seen = [scene.arrays, scene_motion(scene), points, body_shapes(shapes, device=scene.device)]
+            inputs = [*seen, cfg.least_approach, *own.split((3, 4, 3, 3), dim=-1)]
+            look = {"dim": scene.num_envs, "inputs": inputs, "outputs": [crashes_out], "device": scene.device}
+            self._looks.append(RecordedLaunch(_notice, **look))
 
     def begin(self, state: BodyState) -> None:
         """Do nothing: each look needs the present links alone."""

@@ -18,7 +18,7 @@ import warp as wp
 
 from aerial_gym.config.joint import JointsCfg
 from aerial_gym.config.shape import BASE
-from aerial_gym.interop import RecordedLaunch, on_torch_stream
+from aerial_gym.interop import RecordedLaunch
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.physics import Trajectory
 from aerial_gym.physics.state import JointedState
@@ -159,23 +159,15 @@ class LinkTrack:
         self._command = RecordedLaunch(
             _follow_links,
             dim=size[:2],
-            inputs=[
-                _table(cfg, place),
-                wp.from_torch(trajectory.position, dtype=wp.vec3),
-                wp.from_torch(trajectory.attitude, dtype=wp.quat),
-                wp.from_torch(trajectory.joint_pos),
-                self.pieces,
-            ],
-            outputs=[wp.from_torch(self.position, dtype=wp.vec3), wp.from_torch(self.attitude, dtype=wp.quat)],
+            inputs=[_table(cfg, place), trajectory.position, trajectory.attitude, trajectory.joint_pos, self.pieces],
+            outputs=[self.position, self.attitude],
             device=place,
             block_dim=BLOCK_DIM,
         )
-        self._kept_alive = trajectory
 
     def refresh(self) -> None:
         """Place all links of the step that has just ended; launched on torch's current stream, not waited for."""
-        with on_torch_stream(self.position):
-            self._command.launch()
+        self._command.launch(self.position)
 
 
 class LinkPlaces:
@@ -189,24 +181,12 @@ class LinkPlaces:
         place = wp.device_from_torch(state.position.device)
         table = _table(cfg, place)
         base = (state.position, state.attitude, state.lin_vel, state.ang_vel)
-        types, columns = (wp.vec3, wp.quat, wp.vec3, wp.vec3), ((0, 3), (3, 7), (7, 10), (10, 13))
-        self._kept_alive, self._written = (table, state, links), links.state
+        self._written = links.state
         self._command = RecordedLaunch(
             _place_links,
             dim=len(links.state),
-            inputs=[
-                table,
-                *(wp.from_torch(rows, dtype=kind) for rows, kind in zip(base, types, strict=True)),
-                wp.from_torch(state.joint_pos),
-                wp.from_torch(state.joint_vel),
-            ],
-            outputs=[
-                *(
-                    wp.from_torch(links.state[..., low:high], dtype=kind)
-                    for kind, (low, high) in zip(types, columns, strict=True)
-                ),
-                wp.from_torch(links.ang_vel, dtype=wp.vec3),
-            ],
+            inputs=[table, *base, state.joint_pos, state.joint_vel],
+            outputs=[*links.state.split((3, 4, 3, 3), dim=-1), links.ang_vel],
             device=place,
             block_dim=BLOCK_DIM,
         )
@@ -214,5 +194,4 @@ class LinkPlaces:
     @torch.no_grad()
     def refresh(self) -> None:
         """Bring all links to the instant of the state; launched on torch's current stream, not waited for."""
-        with on_torch_stream(self._written):
-            self._command.launch()
+        self._command.launch(self._written)

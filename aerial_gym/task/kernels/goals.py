@@ -7,7 +7,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import Vec3
-from aerial_gym.interop import RecordedLaunch, on_torch_stream
+from aerial_gym.interop import RecordedLaunch
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, random_arrays, stream_of
 from aerial_gym.math.random import Purpose, Randomness, take_mask
@@ -48,19 +48,16 @@ class Goals:
         """
         envs, device = goal.shape[0], goal.device
         self._mask = random.mask
-        self._kept_alive = (goal, bounds, random)
-        inputs = [wp.from_torch(self._mask), random_arrays(random), *(wp.vec3(*ratio) for ratio in ratios)]
         self._command = RecordedLaunch(
             _draw_goals,
             dim=envs,
-            inputs=[*inputs, *(wp.from_torch(corner, dtype=wp.vec3) for corner in bounds)],
-            outputs=[wp.from_torch(goal, dtype=wp.vec3)],
-            device=wp.device_from_torch(device),
+            inputs=[self._mask, random_arrays(random), *(wp.vec3(*ratio) for ratio in ratios), *bounds],
+            outputs=[goal],
+            device=device,
             block_dim=BLOCK_DIM,
         )
 
     def draw(self, mask: Tensor) -> None:
         """Draw for the environments in ``mask``, bool (E,); launched on torch's current stream, not waited for."""
         take_mask(self._mask, mask)
-        with on_torch_stream(self._mask):
-            self._command.launch()
+        self._command.launch(self._mask)

@@ -9,7 +9,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp
+from aerial_gym.interop import RecordedLaunch, start_warp
 from aerial_gym.math.draws import RandomArrays, random_arrays, stream_of, substream
 from aerial_gym.math.random import Purpose, Randomness
 
@@ -60,22 +60,20 @@ class WhiteNoise:
             torch.tensor([kind[i] for kind in kinds.values()], device=device, dtype=torch.float32) for i in (0, 1)
         )
         entries = torch.tensor(list(kinds), device=device, dtype=torch.int32)
-        self._kept_alive = (stds, dropouts, entries, step, random)
         given = [random_arrays(random), int(purpose)]
-        given += [wp.from_torch(tensor) for tensor in (step, stds, dropouts, entries)] if kinds else []
+        given += [step, stds, dropouts, entries] if kinds else []
         self._command = None
         if kinds:
             self._command = RecordedLaunch(
                 _draw_noise,
                 dim=tuple(self.noise.shape),
                 inputs=given,
-                outputs=[wp.from_torch(self.noise)],
-                device=wp.device_from_torch(device),
+                outputs=[self.noise],
+                device=device,
             )
 
     def draw(self, *, final: bool = False) -> None:
         """Draw the noise of the present step of the present episodes; the last observation of one has noise of its own."""
         if self._command is not None:
             self._command.set_param_at_index(1, int(Purpose.FINAL_OBSERVATION if final else self._purpose))
-            with on_torch_stream(self.noise):
-                self._command.launch()
+            self._command.launch(self.noise)

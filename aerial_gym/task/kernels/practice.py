@@ -7,7 +7,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.checks import Vec3
-from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp
+from aerial_gym.interop import RecordedLaunch, make_struct, start_warp
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, random_arrays, stream_of, substream
 from aerial_gym.math.random import Purpose, Randomness, take_mask
@@ -88,30 +88,20 @@ class PracticeStarts:
             first_out: Receives the gate with which an episode begins, int32, (E,).
         """
         start_warp()
-        state, motion = robot.state, Motion()
-        motion.attitude, motion.derived = wp.from_torch(state.attitude, dtype=wp.quat), robot.derived.arrays
-        for name in ("position", "lin_vel", "ang_vel"):
-            setattr(motion, name, wp.from_torch(getattr(state, name), dtype=wp.vec3))
-        views = [wp.from_torch(each, dtype=kind) for each, kind in zip(gates, (wp.vec3, wp.quat), strict=True)]
-        self._mask, self._kept_alive = random.mask, (robot, gates, share, first_out, random)
+        state = robot.state
+        moved = {name: getattr(state, name) for name in ("position", "attitude", "lin_vel", "ang_vel")}
+        motion = make_struct(Motion, derived=robot.derived.arrays, **moved)
+        self._mask = random.mask
         self._command = RecordedLaunch(
             _practise,
             dim=state.num_envs,
-            inputs=[
-                wp.from_torch(self._mask),
-                *views,
-                random_arrays(random),
-                wp.from_torch(share),
-                speed,
-                wp.vec3(*offset),
-            ],
-            outputs=[motion, wp.from_torch(first_out)],
-            device=wp.device_from_torch(state.position.device),
+            inputs=[self._mask, *gates, random_arrays(random), share, speed, wp.vec3(*offset)],
+            outputs=[motion, first_out],
+            device=state.position.device,
             block_dim=BLOCK_DIM,
         )
 
     def draw(self, mask: Tensor) -> None:
         """Draw for the environments in ``mask``, bool (E,); launched on torch's current stream, not waited for."""
         take_mask(self._mask, mask)
-        with on_torch_stream(self._mask):
-            self._command.launch()
+        self._command.launch(self._mask)

@@ -9,7 +9,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp
+from aerial_gym.interop import RecordedLaunch, start_warp
 from aerial_gym.math.draws import RandomArrays, random_arrays, stream_of, substream
 from aerial_gym.math.random import Purpose, Randomness, take_mask
 
@@ -59,24 +59,22 @@ class UniformDraws:
         start_warp()
         self._mask = random.mask
         low, high = (torch.tensor([each[i] for each in ranges], device=drawn.device).float() for i in (0, 1))
-        self._kept_alive = (drawn, low, high, random)
         self._command = RecordedLaunch(
             _draw_uniform,
             dim=tuple(drawn.shape),
             inputs=[
-                wp.from_torch(self._mask),
+                self._mask,
                 random_arrays(random),
                 int(purpose),
-                wp.from_torch(low),
-                wp.from_torch(high),
+                low,
+                high,
                 int(whole),
             ],
-            outputs=[wp.from_torch(drawn)],
-            device=wp.device_from_torch(drawn.device),
+            outputs=[drawn],
+            device=drawn.device,
         )
 
     def draw(self, mask: Tensor) -> None:
         """Draw for the environments in ``mask``, bool (E,); launched on torch's current stream, not waited for."""
         take_mask(self._mask, mask)
-        with on_torch_stream(self._mask):
-            self._command.launch()
+        self._command.launch(self._mask)

@@ -10,7 +10,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.task_terms import ImageCfg
-from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp
+from aerial_gym.interop import RecordedLaunch, start_warp
 from aerial_gym.sensors import SensorManager
 from aerial_gym.task.kernels.frames import make_take
 from aerial_gym.task.values import Values
@@ -58,9 +58,9 @@ class Images:
                     RecordedLaunch(
                         make_take(source, warp_kind, cfg.history),
                         dim=tuple(flat.shape),
-                        inputs=[*(wp.from_torch(tensor) for tensor in (flat, mask, new)), *scale],
-                        outputs=[wp.from_torch(target)],
-                        device=wp.device_from_torch(image.device),
+                        inputs=[flat, mask, new, *scale],
+                        outputs=[target],
+                        device=image.device,
                     )
                 )
 
@@ -70,8 +70,7 @@ class Images:
         ``begun``: of the environments whose episode has just begun, and as all frames; otherwise of all, as the newest one.
         """
         for launch in self._of_reset if begun else self._of_step:
-            with on_torch_stream(self._kept_alive[0]):
-                launch.launch()
+            launch.launch(self._kept_alive[0])
 
 
 def scale_of(image: Tensor, cfg: ImageCfg, sensors: SensorManager) -> tuple[float, float]:
