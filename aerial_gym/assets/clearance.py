@@ -26,14 +26,7 @@ START, GOAL = 0, 1
 
 @wp.func
 def _gap(
-    scene: SceneArrays,
-    env: int,
-    first: int,
-    end: int,
-    start: wp.vec3,
-    goal: wp.vec3,
-    which: int,
-    room: float,
+    scene: SceneArrays, env: int, first: int, end: int, start: wp.vec3, goal: wp.vec3, which: int, room: float
 ) -> float:
     """Return the least distance of parts ``first`` to ``end`` to the points up to ``which``, or ``room`` if that is smaller."""
     nearest = float(room)

@@ -81,10 +81,10 @@ def derived_gains(
     position_damping = _given(cfg.position_damping, torch.full_like(inertia, damping))
     tilt = cfg.max_inclination
     return LeeGains(
-        position=share_row(position**2, vehicle.num_envs),
-        velocity=share_row(2.0 * position_damping * position, vehicle.num_envs),
-        attitude=share_row(inertia * attitude**2, vehicle.num_envs),
-        rate=share_row(2.0 * attitude_damping * attitude * inertia, vehicle.num_envs),
+        position=vehicle.share(position**2),
+        velocity=vehicle.share(2.0 * position_damping * position),
+        attitude=vehicle.share(inertia * attitude**2),
+        rate=vehicle.share(2.0 * attitude_damping * attitude * inertia),
         mass=vehicle.mass,
         inertia=vehicle.inertia,
         gravity=gravity,
@@ -186,7 +186,7 @@ def _require_weight(law: str, gravity: float) -> None:
 def explicit_gains(cfg: LeeGainsCfg, vehicle: Vehicle, gravity: float) -> LeeGains:
     """Return the given gains, the same in all environments."""
     return LeeGains(
-        **{name: share_row(vehicle.com.new_tensor(getattr(cfg, name)), vehicle.num_envs) for name in GAINS},
+        **{name: vehicle.share(getattr(cfg, name)) for name in GAINS},
         mass=vehicle.mass,
         inertia=vehicle.inertia,
         gravity=gravity,

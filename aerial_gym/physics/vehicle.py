@@ -131,6 +131,10 @@ class Vehicle:
         """Return all tensors by name, each (E, ...)."""
         return {name: value for name, value in vars(self).items() if isinstance(value, Tensor)}
 
+    def share(self, numbers: Tensor | Sequence[float]) -> Tensor:
+        """Return numbers (...) as rows (E, ...) that all environments share, in the float type of the vehicle."""
+        return share_row(torch.as_tensor(numbers, dtype=self.mass.dtype, device=self.mass.device), self.num_envs)
+
     def map_rows(self, change: Callable[[Tensor], Tensor]) -> "Vehicle":
         """Return the vehicle with ``change(rows)`` in place of every tensor."""
         return replace(self, **{name: change(rows) for name, rows in self.rows().items()})

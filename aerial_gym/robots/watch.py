@@ -137,13 +137,7 @@ class Watch:
         state = [gtd[key] for key in (*STATE_COLUMNS, "rotor_speed", "robot_actions")]
         inputs = [gtd["non_finite"], gtd["sim_steps"], self._ended, *state, self._action]
         outputs = [self._steps, self._ring, self._count, self._rows, self._kept]
-        self._command = RecordedLaunch(
-            _remember,
-            dim=num_envs,
-            inputs=inputs,
-            outputs=outputs,
-            device=self._device,
-        )
+        self._command = RecordedLaunch(_remember, dim=num_envs, inputs=inputs, outputs=outputs, device=self._device)
 
     def keep(self, actions: Tensor, ended: Tensor) -> None:
         """Keep this step, before the rows in ``ended``, bool (E,), are reset, if it was asked to; ``actions``: (E, V)."""

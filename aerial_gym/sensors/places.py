@@ -10,14 +10,7 @@ from aerial_gym.config.placement import PlacementCfg
 from aerial_gym.config.sensor import RangeSensorCfg
 from aerial_gym.interop import RecordedLaunch
 from aerial_gym.interop.streams import BLOCK_DIM
-from aerial_gym.math.draws import (
-    RandomArrays,
-    draw_vec3,
-    quat_of_angles,
-    random_arrays,
-    stream_of,
-    substream,
-)
+from aerial_gym.math.draws import RandomArrays, draw_vec3, quat_of_angles, random_arrays, stream_of, substream
 from aerial_gym.math.random import Purpose, Randomness, take_mask
 from aerial_gym.sensors.mounts import Pose, nominal_pose
 

@@ -18,7 +18,7 @@ from aerial_gym.control.gains import gains_for, spacing_of
 from aerial_gym.control.px4.rates import smoothing
 from aerial_gym.control.timing import Timing
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics.vehicle import Vehicle, share_row
+from aerial_gym.physics.vehicle import Vehicle
 
 AXES = ("roll", "pitch", "yaw")
 
@@ -114,10 +114,7 @@ def parameters_of(
     derived = {"p": torch.where(turns, rate / some, 0.0)}
     derived["i"] = torch.where(turns, rate.square() / inertia / slow / some, 0.0)
 
-    def row(numbers: list[float] | Tensor) -> Tensor:
-        return share_row(
-            torch.as_tensor(numbers, dtype=vehicle.mass.dtype, device=vehicle.mass.device), len(vehicle.mass)
-        )
+    row = vehicle.share
 
     def gain(name: str) -> Tensor:
         given = [getattr(own, f"{name}_{axis}") for axis in AXES]

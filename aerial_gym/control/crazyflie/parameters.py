@@ -24,7 +24,7 @@ from aerial_gym.control.crazyflie.pid import MOST_MOMENT, THRUST_PER_OUTPUT, Pid
 from aerial_gym.control.gains import gains_for, spacing_of
 from aerial_gym.control.lee import LEAST_LIFT, LeeGains
 from aerial_gym.control.timing import Timing
-from aerial_gym.physics.vehicle import Vehicle, share_row
+from aerial_gym.physics.vehicle import Vehicle
 
 INTEGRAL_SHARE = 0.5
 """Of the largest moment that an integral may take if nothing else is said."""
@@ -44,6 +44,7 @@ class Derived:
             cfg, control, vehicle, allocation, gravity=gravity, dt=timing.loop * timing.dt, extra_lag=timing.extra_lag
         )
         self.base, self.vehicle, self.slow = base, vehicle, spacing_of(control.phase_margin) ** 2
+        self.row = vehicle.share
         self.authority = allocation.torque_authority(float(vehicle.mass[0]) * base.gravity)  # [N m]
         self.mass, self.most_thrust = float(vehicle.mass[0]), allocation.largest_thrust()  # [kg], [N]
         self.gravity, self.tilt = base.gravity, base.max_inclination
@@ -52,11 +53,6 @@ class Derived:
         self.of_rate = base.rate[0] / vehicle.inertia[0].diagonal()  # 1/s
         self.of_attitude = _over(base.attitude[0], base.rate[0])
         self.of_position = _over(base.position[0], base.velocity[0])
-
-    def row(self, numbers: Sequence[float] | Tensor) -> Tensor:
-        """Return numbers as a row of all environments."""
-        like = self.vehicle.mass
-        return share_row(torch.as_tensor(numbers, dtype=like.dtype, device=like.device), len(like))
 
     def given(self, numbers: Sequence[float] | None, derived: Tensor | Sequence[float]) -> Tensor:
         """Return what is given, else what is derived, as a row."""

@@ -3,8 +3,8 @@
 Frames: body is x forward, y left, z up. Letters: E environments, R rotors.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from math import radians
 
 import torch
@@ -20,7 +20,7 @@ from aerial_gym.control.px4.rates import smoothing
 from aerial_gym.control.timing import Timing
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.rotors import rotor_thrust
-from aerial_gym.physics.vehicle import Vehicle, share_row
+from aerial_gym.physics.vehicle import Vehicle
 
 INTEGRAL_SHARE = 0.5
 """Of the torque at hover that a derived limit leaves to the integral: as in ``control.cascade``."""
@@ -165,7 +165,7 @@ def parameters_of(
         "LIM": torch.where(turns, INTEGRAL_SHARE * authority / unit, 0.0),
         "ANGLE": torch.where(turns, base.attitude[0] / some, 0.0),
     }
-    row = partial(_row, like=vehicle)
+    row = vehicle.share
     scale = [getattr(px4, f"MC_{axis}RATE_K") for axis in _AXES]
 
     def of_rate(name: str, derived: Tensor | None = None) -> Tensor:
@@ -193,9 +193,12 @@ def parameters_of(
 
 _AXES = ("ROLL", "PITCH", "YAW")
 
+Row = Callable[[Tensor | Sequence[float]], Tensor]
+"""From numbers to the rows of all environments."""
+
 
 def _position_gains(
-    px4: Px4Cfg, row: "partial[Tensor]", position: Tensor, velocity: Tensor, slow: float, *, hover: float, tilt: float,
+    px4: Px4Cfg, row: Row, position: Tensor, velocity: Tensor, slow: float, *, hover: float, tilt: float,
     gravity: float,
 ) -> PositionGains:  # fmt: skip
     def of(name: str, derived: Tensor | None = None) -> Tensor:
@@ -263,10 +266,6 @@ def filters_of(px4: Px4Cfg, timing: Timing) -> Px4Filters:
         yaw_torque=smoothing(px4.MC_YAW_TQ_CUTOFF, span),
         acceleration=smoothing(px4.MPC_VELD_LP, timing.law * timing.dt),
     )
-
-
-def _row(numbers: Tensor | list[float], *, like: Vehicle) -> Tensor:
-    return share_row(torch.as_tensor(numbers, dtype=like.mass.dtype, device=like.mass.device), like.num_envs)
 
 
 def _given(named: list[float | None], derived: Tensor | None = None) -> Tensor:

@@ -65,11 +65,7 @@ class WhiteNoise:
         self._command = None
         if kinds:
             self._command = RecordedLaunch(
-                _draw_noise,
-                dim=tuple(self.noise.shape),
-                inputs=given,
-                outputs=[self.noise],
-                device=device,
+                _draw_noise, dim=tuple(self.noise.shape), inputs=given, outputs=[self.noise], device=device
             )
 
     def draw(self, *, final: bool = False) -> None:

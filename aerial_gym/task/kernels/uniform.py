@@ -62,14 +62,7 @@ class UniformDraws:
         self._command = RecordedLaunch(
             _draw_uniform,
             dim=tuple(drawn.shape),
-            inputs=[
-                self._mask,
-                random_arrays(random),
-                int(purpose),
-                low,
-                high,
-                int(whole),
-            ],
+            inputs=[self._mask, random_arrays(random), int(purpose), low, high, int(whole)],
             outputs=[drawn],
             device=drawn.device,
         )
