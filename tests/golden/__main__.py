@@ -12,7 +12,7 @@ from tests.golden.worker import machine, measure_all
 
 REFERENCE = Path(__file__).parent / "reference"
 
-TOPICS = ("interface", "releases", "cases", "tasks")
+TOPICS: tuple[str, ...] = ("interface", "releases", "cases", "tasks")
 """Modules of this package with ``items``, ``measure`` and ``TOLERANCE_ELSEWHERE``."""
 
 
@@ -46,37 +46,44 @@ def update(file: Path, items: dict[str, Any], *, whole: bool) -> None:
     write(file, {"machine": machine(), "items": kept | items})
 
 
-def main() -> int:
-    """Run the command; return 0 if nothing differs, else 1."""
+def arguments() -> argparse.Namespace:
+    """Return the arguments of the command line."""
     parser = argparse.ArgumentParser(prog="python -m tests.golden", description=__doc__)
-    parser.add_argument("topics", nargs="*", choices=[[], *TOPICS], help="all if not given")
+    parser.add_argument("topics", nargs="*", help=f"of {', '.join(TOPICS)}; all if not given")
     parser.add_argument("--update", action="store_true", help="write the reference files")
     parser.add_argument("--quick", action="store_true", help="only the items that run with every test run")
-    parser.add_argument("--only", help="only items whose name contains this text")
+    parser.add_argument("--only", default="", help="only items whose name contains this text")
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="processes side by side")
     args = parser.parse_args()
-    topics = args.topics or list(TOPICS)
-    names = {topic: import_module(f"tests.golden.{topic}").items() for topic in topics}
+    if unknown := set(args.topics) - set(TOPICS):
+        parser.error(f"no topic {', '.join(sorted(unknown))}. Known: {', '.join(TOPICS)}")
+    return args
+
+
+def main() -> int:
+    """Run the command; return 0 if nothing differs, else 1."""
+    args = arguments()
+    names = {topic: import_module(f"tests.golden.{topic}").items() for topic in args.topics or TOPICS}
     jobs = [
         (topic, item)
-        for topic in topics
-        for item, quick in names[topic].items()
-        if (quick or not args.quick) and (not args.only or args.only in item)
+        for topic, items in names.items()
+        for item, quick in items.items()
+        if quick >= args.quick and args.only in item
     ]
-    whole = not args.quick and not args.only
-    found: dict[str, dict[str, Any]] = {topic: {} for topic in topics}
-    spent = dict.fromkeys(topics, 0.0)
+    results: dict[str, dict[str, Any]] = {topic: {} for topic in names}
+    spent: dict[str, float] = dict.fromkeys(names, 0.0)
     for topic, item, result, seconds in measure_all(jobs, args.jobs):
-        found[topic][item] = result
+        results[topic][item] = result
         spent[topic] += seconds
     print("processor time: " + ", ".join(f"{topic} {seconds:.0f} s" for topic, seconds in spent.items()))
-    if not args.update:
-        good = [report(topic, found[topic], names[topic], whole=whole) for topic in topics]
-        print("golden results: no difference" if all(good) else "golden results differ; see CONTRIBUTING.md")
-        return int(not all(good))
-    for topic in topics:
-        update(REFERENCE / f"{topic}.json", found[topic], whole=whole)
-    return 0
+    whole = not args.quick and not args.only
+    if args.update:
+        for topic, items in results.items():
+            update(REFERENCE / f"{topic}.json", items, whole=whole)
+        return 0
+    good = [report(topic, items, names[topic], whole=whole) for topic, items in results.items()]
+    print("golden results: no difference" if all(good) else "golden results differ; see CONTRIBUTING.md")
+    return int(not all(good))
 
 
 if __name__ == "__main__":

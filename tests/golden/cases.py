@@ -52,7 +52,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 """Options of ``close_loop``."""
 
-QUICK = ("com_offset", "unknown_time", "two_failures")
+QUICK = ("com_offset", "two_failures")
 
 
 def items() -> dict[str, bool]:

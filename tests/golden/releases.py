@@ -5,10 +5,12 @@ tensors, numbers and text; they name no Python module or class. But keys of the 
 attributes of networks: whoever renames an attribute must read the old key as well.
 """
 
+import io
 import json
 import shutil
 import sys
 import tempfile
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -83,7 +85,8 @@ def _resume(_: str) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         run = Path(folder) / "ppo"
         shutil.copytree(FILES / "ppo", run)
-        status = main(["train", "--out", str(run), "--resume", "--max-env-steps", "1024"])
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+            status = main(["train", "--out", str(run), "--resume", "--max-env-steps", "1024"])
         result = json.loads((run / "result.json").read_text(encoding="utf-8"))
         return {"status": status, "late": {key: result[key] for key in ("env_steps", "episode_return")}}
 
