@@ -9,6 +9,7 @@ import os
 import re
 from collections.abc import Iterator
 from dataclasses import MISSING, fields, is_dataclass
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
@@ -152,7 +153,7 @@ def _python() -> dict[str, Any]:
     found["aerial_gym.errors"] = {
         name: [base.__name__ for base in cls.__mro__[1:-1]]
         for name, cls in vars(errors).items()
-        if isinstance(cls, type)
+        if isinstance(cls, type) and cls.__module__ == errors.__name__
     }
     for path in sorted((Path(aerial_gym.__file__).parent / "rl_training" / "adapters").glob("[!_]*.py")):
         classes = [n for n in ast.parse(path.read_text(encoding="utf-8")).body if isinstance(n, ast.ClassDef)]
@@ -171,14 +172,14 @@ def _described(value: Any) -> Any:
 
 def _is_ours(member: Any) -> bool:
     """Return whether a member of a class is a property, or a function of this package."""
-    if isinstance(member, property):
+    if isinstance(member, property | cached_property):
         return True
     return callable(member) and str(getattr(member, "__module__", "")).startswith("aerial_gym")
 
 
 def _signature(value: Any) -> str:
     """Return the names and defaults of parameters, without annotations."""
-    if isinstance(value, property):
+    if isinstance(value, property | cached_property):
         return "property"
     try:
         signature = inspect.signature(value)
