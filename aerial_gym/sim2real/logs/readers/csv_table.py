@@ -32,6 +32,9 @@ def csv_rows(path: Path, layout: LogMapping, notes: list[str]) -> tuple[pd.DataF
     """Return the rows of a file with good time stamps, their time [s] (T,), and the corrected times of clock steps [s]."""
     table = without_copies(read_table(path, layout, notes), notes)
     stamps = checked_stamps(stamps_of(table, layout, str(path)), str(path))
+    if note := stamps.late_rows([f"line {line}" for line in table.index[stamps.late]]):
+        notes.append(note)
+    table = table.iloc[stamps.order]
     bad = table.index[~stamps.kept]
     _note_rows(bad.tolist(), len(table), "time stamps that do not fit the rows around them", notes)
     table = table.drop(index=bad)

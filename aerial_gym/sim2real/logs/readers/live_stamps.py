@@ -3,14 +3,24 @@
 from statistics import median
 
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.logs.readers.late_blocks import SPLIT_STEPS
 from aerial_gym.sim2real.logs.recording import LONGEST_GAP_S, gap_limit
+
+LATE_START_S = 2.0
+"""A late block may come so long before the first row that was passed [s]."""
+
+HOLES = 8
+"""Gaps of the clock that are remembered, the last ones."""
 
 CONFIRMED = 10
 """So many rows that go on from each other show that the first rows, a gap, or a step of the clock are real."""
 
 
 class LiveStamps:
-    """Passes on the rows whose time goes on; holds the others until the rows after them tell which clock is right."""
+    """Passes on the rows whose time goes on; holds the others until the rows after them tell which clock is right.
+
+    A block that was written late has stamps in a gap that was passed. It is held until the clock returns, and then left out.
+    """
 
     def __init__(self) -> None:
         """Begin without a row."""
@@ -18,6 +28,7 @@ class LiveStamps:
         self._last: float | None = None
         self._shift = 0.0
         self._doubtful: list[Array] = []
+        self._holes: list[tuple[float, float]] = []
         self.bad: list[float] = []
         """Bad stamps so far [s]."""
         self.steps = 0
@@ -40,18 +51,24 @@ class LiveStamps:
             self.bad.append(stamp)
             return []
         self._doubtful.append(row)
-        if len(self._doubtful) < CONFIRMED:
+        if len(self._doubtful) < CONFIRMED or self._may_be_late(place):
             return []
         good, self._doubtful = self._doubtful, []
         if self._last is not None and good[0][place] <= self._last:
             self._shift += self._last - float(good[0][place]) + (median(self._steps) if self._steps else 0.0)
             self.steps += 1
+            self._holes = []
         return [self._passed(one, place) for one in good]
 
     def end(self, place: int) -> None:
         """Leave out the rows that nothing confirms."""
         self.bad += [float(row[place]) for row in self._doubtful]
         self._doubtful = []
+
+    def _may_be_late(self, place: int) -> bool:
+        """Return whether all doubtful rows are in a gap that was passed."""
+        first, last = float(self._doubtful[0][place]), float(self._doubtful[-1][place])
+        return any(start < first and last < stop for start, stop in self._holes)
 
     @property
     def _limit(self) -> float:
@@ -61,6 +78,10 @@ class LiveStamps:
     def _passed(self, row: Array, place: int) -> Array:
         """Return a good row with corrected time, and remember its stamp."""
         stamp = float(row[place])
+        if self._last is None:  # the first rows may come before a late block
+            self._holes = [(stamp - LATE_START_S, stamp)]
+        elif self._steps and stamp - self._last > SPLIT_STEPS * median(self._steps):
+            self._holes = [*self._holes[1 - HOLES :], (self._last, stamp)]
         if self._last is not None and stamp > self._last:
             self._steps = [*self._steps[-CONFIRMED:], stamp - self._last]
         self._last = stamp

@@ -1,4 +1,4 @@
-"""Time stamps of a log: rows with a bad stamp are left out, and a clock that was set back is corrected.
+"""Time stamps of a log: late blocks are put in order, rows with a bad stamp left out, and a clock that was set back corrected.
 
 The lateness of row n is ``t - n dt`` with the usual step dt. After a bad stamp it returns to its former level. After a clock
 was set back, or its counter wrapped, it stays at a lower level. Letters: T rows, K rows that are kept.
@@ -14,6 +14,7 @@ from scipy import ndimage
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
+from aerial_gym.sim2real.logs.readers.late_blocks import JOINT_STEPS, find_blocks
 from aerial_gym.sim2real.logs.recording import gap_limit
 
 MOST_BAD = 0.25
@@ -64,11 +65,17 @@ class ClockStep:
     counter: str
     """Counter that wrapped, a key of ``COUNTERS_S``; empty if the clock was set back by another amount."""
 
+    may_be_restart: bool = False
+    """Whether the clock may as well have started anew: with a wrap, more than ``JOINT_STEPS`` passed between the two rows."""
+
     def sentence(self, place: str) -> str:
         """Return the note on this step at a place such as ``line 902``."""
         cause = f"the counter of the clock ({self.counter}) wrapped" if self.counter else "the clock was set back"
         jump = f"from {self.before:.6g} to {self.after:.6g} s"
-        return f"{cause} at {place}, {jump}; later stamps were shifted by {self.shift:+.6g} s"
+        doubt = "; it may as well have started anew, and the time between the two rows is then not known"
+        return (
+            f"{cause} at {place}, {jump}; later stamps were shifted by {self.shift:+.6g} s{doubt * self.may_be_restart}"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,11 +85,22 @@ class CheckedStamps:
     time: Array
     """Increasing [s], (K,)."""
 
+    order: Indices
+    """Rows of the log in the order in which they were measured, (T,)."""
+
+    late: Indices
+    """First rows, in the log, of the blocks that were written late."""
+
     kept: Flags
-    """Rows with a good stamp, (T,)."""
+    """Rows with a good stamp, in that order, (T,)."""
 
     steps: tuple[ClockStep, ...]
     """Steps back of the clock, in order."""
+
+    def late_rows(self, names: Sequence[str]) -> str:
+        """Return the note on late blocks, empty without any; ``names`` are the places of ``late``."""
+        moved = f"{self.late.size} blocks of rows were written late and are put in order of time: from {places(names)}"
+        return moved if self.late.size else ""
 
 
 def seconds_of(stamps: ArrayLike, unit: float) -> Array:
@@ -102,7 +120,10 @@ def checked_stamps(stamps: Array, path: str) -> CheckedStamps:
     Raises:
         DataError: If most stamps do not increase, or more than ``MOST_BAD`` of them are bad.
     """
+    blocks = find_blocks(stamps, tuple(COUNTERS_S.values()))
     kept = np.isfinite(stamps)
+    kept[blocks.wrong] = False
+    stamps, kept = stamps[blocks.order], kept[blocks.order]
     kept[1:] &= stamps[1:] != stamps[:-1]  # of equal stamps the first one stands
     rows = np.flatnonzero(kept)
     steps = np.diff(stamps[rows])
@@ -115,14 +136,14 @@ def checked_stamps(stamps: Array, path: str) -> CheckedStamps:
     kept[rows[_is_far(stamps[rows], rows, step)]] = False
     while (bad := _is_near(stamps[kept], np.flatnonzero(kept), step)).any():
         kept[np.flatnonzero(kept)[bad]] = False
-    found = _with_one_clock(stamps, kept, step)
-    bad = int(np.sum(~kept)) + len(found.steps)
+    time, clock_steps = _with_one_clock(stamps, kept, step)
+    bad = int(np.sum(~kept)) + len(clock_steps)
     if bad > MOST_BAD * kept.size:
         raise DataError(
             f"{path}: {bad} of {kept.size} time stamps are missing, equal or out of order; write the rows in the order in "
             "which they were measured, each with its own time"
         )
-    return found
+    return CheckedStamps(order=blocks.order, late=blocks.late, time=time, kept=kept, steps=tuple(clock_steps))
 
 
 def _is_far(stamps: Array, rows: Indices, step: float) -> Flags:
@@ -167,8 +188,8 @@ def _out_of_order(stamps: Array, width: int) -> Flags:
     return (windows[: stamps.size].max(axis=1) >= stamps) | (windows[width + 1 :].min(axis=1) <= stamps)
 
 
-def _with_one_clock(stamps: Array, kept: Flags, step: float) -> CheckedStamps:
-    """Return the kept stamps with every step back of the clock taken out: the row after it comes one usual step later."""
+def _with_one_clock(stamps: Array, kept: Flags, step: float) -> tuple[Array, list[ClockStep]]:
+    """Return the kept stamps without the steps back of the clock, and these: the row after one comes a usual step later."""
     rows = np.flatnonzero(kept)
     time, found = stamps[rows], list[ClockStep]()
     for row in (np.flatnonzero(np.diff(time) <= 0.0) + 1).tolist():
@@ -177,8 +198,9 @@ def _with_one_clock(stamps: Array, kept: Flags, step: float) -> CheckedStamps:
         counter = next((n for n, period in COUNTERS_S.items() if 0.0 < period - back <= gap_limit(step)), "")
         shift = COUNTERS_S[counter] if counter else back + passed
         time[row:] += shift
-        found.append(ClockStep(row=row, before=before, after=after, shift=shift, counter=counter))
-    return CheckedStamps(time=time, kept=kept, steps=tuple(found))
+        doubt = bool(counter) and shift - back > JOINT_STEPS * passed
+        found.append(ClockStep(row=row, before=before, after=after, shift=shift, counter=counter, may_be_restart=doubt))
+    return time, found
 
 
 def places(names: Sequence[str]) -> str:

@@ -165,6 +165,9 @@ def _series(topics: Topics, name: str, notes: list[str]) -> Series:
         return Series(time=np.zeros(0), columns={}, steps=())
     whole = np.all([np.isfinite(column) for column in values.values()], axis=0)
     checked = _checked_time(topic, f"topic {name}")
+    if note := checked.late_rows([f"sample {row}" for row in checked.late]):
+        notes.append(f"topic {name}: {note}")
+    whole, values = whole[checked.order], {label: column[checked.order] for label, column in values.items()}
     good = whole[checked.kept]
     if good.sum() < 2:
         raise DataError(f"topic {name} has {good.sum()} usable rows, needs 2")

@@ -171,6 +171,17 @@ def test_a_clock_that_is_set_back_in_flight_is_followed() -> None:
     assert alarms[1].failure.time == pytest.approx(ONSET, abs=0.2)
 
 
+def test_a_late_block_of_rows_is_left_out_while_the_watch_goes_on() -> None:
+    """Two blocks of 40 rows in exchanged order before the failure: the later one is missed, and no clock was set back."""
+    table, rows = failing(), np.arange(len(failing()))
+    rows[400:480] = np.roll(rows[400:480], 40)
+    watch = Watch(ROBOT, list(table.columns))
+    alarms = [alarm for row in table.to_numpy()[rows] for alarm in watch.add(row)] + watch.ended()
+    assert (watch.bad_rows, watch.clock_steps) == (40, 0)
+    assert [alarm.stage for alarm in alarms] == [SUSPECTED, NAMED]
+    assert alarms[1].failure.time == pytest.approx(ONSET, abs=0.2)
+
+
 def test_noise_alone_passes_a_limit_no_more_often_than_is_said() -> None:
     """The sum of the odds over n blocks has a mean of n at most: it passes 20 n in a twentieth of cases at most (Markov).
 

@@ -277,3 +277,29 @@ def test_a_loop_of_links_is_a_file_that_cannot_be_read(tmp_path: Path) -> None:
     (tmp_path / "loop.csv").symlink_to(tmp_path / "loop.csv")
     with pytest.raises(DataError):
         load_flights([tmp_path / "loop.csv"], ROBOT, mapping=None, bandwidth=10.0)
+
+
+@pytest.mark.parametrize("size", [2, 35, 300])
+@pytest.mark.parametrize("start", [0, 150])
+def test_two_exchanged_blocks_of_a_file_cost_nothing(
+    size: int, start: int, table: pd.DataFrame, tmp_path: Path
+) -> None:
+    rows = np.arange(len(table))
+    rows[start : start + 2 * size] = np.roll(rows[start : start + 2 * size], size)
+    log = read_flight_log(write(table.iloc[rows], tmp_path / "a.csv"))
+    check_rows(log, table)
+    assert log.lines is not None
+    np.testing.assert_array_equal(log.lines[rows], np.arange(2, len(table) + 2))
+    assert len(log.notes) == len(read_flight_log(write(table, tmp_path / "b.csv")).notes) + 1
+
+
+def test_two_exchanged_blocks_of_a_topic_cost_nothing(table: pd.DataFrame) -> None:
+    good, few = px4(topics(table))
+    found = topics(table)
+    rows = np.arange(len(table))
+    rows[100:300] = np.roll(rows[100:300], 80)
+    gyro = found["vehicle_angular_velocity"]
+    found["vehicle_angular_velocity"] = {name: values[rows] for name, values in gyro.items()}
+    mended, notes = px4(found)
+    pd.testing.assert_frame_equal(mended, good)
+    assert len(notes) == len(few) + 1

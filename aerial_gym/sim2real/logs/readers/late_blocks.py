@@ -1,0 +1,155 @@
+"""Blocks of rows that were written late, such as two buffers of a logger in exchanged order, and blocks with wrong stamps.
+
+The stamps of a late block are right, and it stands at the wrong place: the clock jumps ahead, comes back to fill the hole that
+it left, and goes on where it was. A block whose stamps repeat other times, and after which the clock has gained as many steps
+as there were rows, has wrong stamps. A clock that was set back does neither: it does not return to its former level.
+Letters: T rows.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from aerial_gym.sim2real.arrays import Array, Indices
+from aerial_gym.sim2real.logs.recording import gap_limit
+
+JOINT_STEPS = 3.5
+"""Steps between two rows that can follow each other: two stamps may be missing."""
+
+MOST_RUNS = 50
+"""Runs before or after a step back among which the clock is looked for; bounds the time of logs that are all out of order."""
+
+SPLIT_STEPS = 2.0
+"""Steps ahead from which a block may be missing between two rows; jitter alone stays below."""
+
+MIN_ROWS = 2
+"""Of a block. A single row out of order has a bad stamp, or it is a late one: that cannot be told."""
+
+
+@dataclass(frozen=True)
+class _Run:
+    """Rows that follow each other, and the rows without a usable stamp after them."""
+
+    first: float
+    last: float
+    end: int
+    """Row of ``last``."""
+    rows: Indices
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blocks:
+    """What is out of order in the rows of a log."""
+
+    order: Indices
+    """Rows in the order in which they were measured, (T,)."""
+
+    late: Indices
+    """The first row of each block that is moved ahead."""
+
+    wrong: Indices
+    """Rows of blocks with wrong stamps."""
+
+
+def find_blocks(stamps: Array, periods: tuple[float, ...] = ()) -> Blocks:
+    """Return what blocks of a log are out of order.
+
+    Args:
+        stamps: As logged [s], NaN where a row has none, (T,).
+        periods: Of counters [s]: a step back by one of them is a wrap, and no late block.
+    """
+    order, late, wrong = np.arange(stamps.size), list[int](), [np.zeros(0, dtype=int)]
+    finite = np.flatnonzero(np.isfinite(stamps))
+    steps = np.diff(stamps[finite])
+    if not np.any(steps > 0.0) or np.all(steps > 0.0):
+        return Blocks(order=order, late=order[:0], wrong=order[:0])
+    step = float(np.median(steps[steps > 0.0]))
+    runs = _runs(stamps, finite, step)
+    number = 1
+    while number < len(runs):
+        back = runs[number - 1].last - runs[number].first
+        if back < 0.0 or any(0.0 < period - back <= gap_limit(step) for period in periods):
+            number += 1
+        elif group := _exchanged(runs, number, JOINT_STEPS * step):
+            start, stop = group
+            late.append(int(runs[number].rows[0]))
+            runs[start:stop] = sorted(runs[start:stop], key=lambda run: run.first)
+            number = stop
+        elif group := _displaced(runs, number, step):
+            start, stop = group
+            wrong += [run.rows for run in runs[start:stop]]
+            number = stop + 1
+        else:
+            number += 1
+    if late:
+        head = order[: int(min(run.rows[0] for run in runs))]
+        order = np.concatenate((head, *(run.rows for run in runs)))
+    return Blocks(order=order, late=np.asarray(late, dtype=int), wrong=np.concatenate(wrong))
+
+
+def _runs(stamps: Array, finite: Indices, step: float) -> list[_Run]:
+    """Return the runs of at least ``MIN_ROWS`` rows, in the order of the log; rows before the first of them belong to none."""
+    time = stamps[finite]
+    joined = (np.diff(time) > 0.0) & (np.diff(time) <= SPLIT_STEPS * step * np.diff(finite))
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], joined.astype(int), [0]))))
+    found: list[tuple[int, int]] = []
+    for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        previous = found[-1] if found else None
+        gap = finite[first] - finite[previous[1]] if previous else 0
+        if previous and 0.0 < time[first] - time[previous[1]] <= SPLIT_STEPS * step * gap:
+            found[-1] = (previous[0], last)  # only bad stamps are between them
+        else:
+            found.append((first, last))
+    starts = [int(finite[first]) for first, _ in found]
+    stops = [*starts[1:], stamps.size]
+    return [
+        _Run(float(time[first]), float(time[last]), int(finite[last]), np.arange(start, stop))
+        for (first, last), start, stop in zip(found, starts, stops, strict=True)
+    ]
+
+
+def _exchanged(runs: list[_Run], number: int, joint: float) -> tuple[int, int] | None:
+    """Return first run, and that after the last, of a group that its stamps put in order; None where that is not sure.
+
+    The step back is before run ``number``. Sorted, the runs of the group must not overlap. The clock must then go on from the
+    group to the run after it, and from a run before it in the hole. At an end of the log every joint of the group must fit.
+    """
+    start, stop = number - 1, number + 1
+    low, high = runs[number].first, max(runs[start].last, runs[number].last)
+    while stop < len(runs) and runs[stop].first <= high and stop - start <= MOST_RUNS:
+        low, high = min(low, runs[stop].first), max(high, runs[stop].last)
+        stop += 1
+    while start > 0 and runs[start - 1].last >= low and stop - start <= MOST_RUNS:
+        start -= 1
+    group = sorted(runs[start:stop], key=lambda run: run.first)
+    gaps = [after.first - before.last for before, after in pairwise(group)]
+    if min(gaps) <= 0.0 or len(group) > MOST_RUNS:
+        return None
+    if stop < len(runs) and runs[stop].first - high > joint:
+        return None
+    at_end = start == 0 or stop == len(runs)
+    if at_end and (max(gaps) > joint or (start > 0 and low - runs[start - 1].last > joint)):
+        return None
+    return start, stop
+
+
+def _displaced(runs: list[_Run], number: int, step: float) -> tuple[int, int] | None:
+    """Return first run, and that after the last, with wrong stamps: around them the clock gains a step with each row.
+
+    They are before the step back at run ``number``, or after it; if both fit, the fewer rows are wrong.
+    """
+
+    def off(before: int, after: int) -> bool:
+        rows = int(runs[after].rows[0]) - runs[before].end
+        return abs(runs[after].first - runs[before].last - step * rows) > JOINT_STEPS * step
+
+    first, last = max(0, number - MOST_RUNS), min(len(runs), number + MOST_RUNS)
+    ahead = next(
+        ((n + 1, number) for n in range(number - 2, first - 1, -1) if off(n, n + 1) and not off(n, number)), None
+    )
+    behind = None
+    if off(number - 1, number):
+        behind = next(((number, n) for n in range(number + 1, last) if not off(number - 1, n)), None)
+    sizes = {span: sum(run.rows.size for run in runs[slice(*span)]) for span in (ahead, behind) if span}
+    return min(sizes, key=sizes.__getitem__, default=None)
