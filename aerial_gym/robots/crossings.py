@@ -37,8 +37,8 @@ from aerial_gym.assets.sweep import (
     path_between,
     swept_box,
 )
+from aerial_gym.math.warp_functions import rotate
 from aerial_gym.physics.fused.contact import point_velocity
-from aerial_gym.physics.fused.functions import rotate
 from aerial_gym.physics.fused.hook import Substep
 from aerial_gym.robots.touching_pairs import SceneMotion, TouchingPairs
 
@@ -70,6 +70,14 @@ class Stop:
     pairs: TouchingPairs  # what it crosses
     position: wp.vec3  # of the centre of mass, world [m]
     attitude: wp.quat  # body to world
+
+
+@wp.func
+def path_of(done: Substep) -> Path:
+    """Return the motion of a body in a substep, whose centre of mass moves in a straight line."""
+    first = done.first_position - rotate(done.first_attitude, done.com)
+    last = done.position - rotate(done.attitude, done.com)
+    return path_between(done.com, first, done.first_attitude, last, done.attitude)
 
 
 @wp.func
@@ -140,8 +148,8 @@ def _make_push_at_end(*, cores: bool) -> wp.Function:
 
 
 @cache
-def make_find_stop(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
-    """Return the search; whether obstacles move, the robot has boxes or capsules, and any part is a mesh."""
+def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
+    """Return the search along one path; whether obstacles move, the robot has boxes or capsules, and any part is a mesh."""
     touch_time = make_touch_time(cores=cores)
     nearest_pair, push_at_end = _make_nearest_pair(cores=cores), _make_push_at_end(cores=cores)
     obstacles_type: Any = Obstacles if moves else int
@@ -303,6 +311,15 @@ def make_find_stop(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
             part += 1
         return found, crashes
 
+    return first_crossing
+
+
+@cache
+def make_find_stop(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
+    """Return the search for the place where a robot stops, with the same choices."""
+    first_crossing = make_first_crossing(moves=moves, cores=cores, meshes=meshes)
+    obstacles_type: Any = Obstacles if moves else int
+
     @wp.func
     def find_stop(
         scene: SceneArrays,
@@ -319,9 +336,7 @@ def make_find_stop(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
         stop = Stop()
         stop.position = done.position
         stop.attitude = done.attitude
-        origin = done.position - rotate(done.attitude, done.com)
-        first = done.first_position - rotate(done.first_attitude, done.com)
-        path = path_between(done.com, first, done.first_attitude, origin, done.attitude)
+        path = path_of(done)
         whole = path.shift
         shift = wp.vec3()
         floors = wp.vec4()

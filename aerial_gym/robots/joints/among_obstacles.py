@@ -1,12 +1,13 @@
 """Obstacles around a robot that bends, where an engine finds the contacts itself: they move, and fast touches are crashes.
 
-A ``SubstepHook``: after each substep the obstacles move by it, and every link is looked at as ``scene_contact`` looks at a
-rigid body. What approaches is taken at the speeds of that instant: a touch is found at the end of a substep, and pushes from
-the next on.
+A ``SubstepHook``: after each substep every link is swept along it (``crossings``), a touch at the speed of a crash is a crash,
+and the obstacles move. Then every link is looked at as ``scene_contact`` looks at a rigid body. What overlaps pushes from the
+next substep on; what passes through between two poses is a crash, and pushes nothing.
 Frames: world, z up; shapes in the frames of their links. Letters: E environments, L links.
 """
 
-from typing import NoReturn
+from functools import cache
+from typing import Any, NoReturn
 
 import torch
 import warp as wp
@@ -22,8 +23,10 @@ from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import CapabilityError
 from aerial_gym.interop import RecordedLaunch, on_torch_stream
+from aerial_gym.physics.fused.hook import Substep
 from aerial_gym.physics.integrators import MassState
 from aerial_gym.physics.state import BodyState, JointedState
+from aerial_gym.robots.crossings import make_first_crossing, path_of
 from aerial_gym.robots.joints.link_tensors import LinkTensors
 from aerial_gym.robots.joints.links import LinkPlaces
 from aerial_gym.robots.touching_pairs import SceneMotion, add_cores, come_fast, find_pairs, scene_motion
@@ -54,6 +57,57 @@ def _notice(
     pairs = add_cores(pairs, scene, motion, body, wp.vec3(), e, x, q)
     if come_fast(pairs, lin_vel[e], ang_vel[e], least_approach):
         crashes_out[e] = True
+
+
+@cache
+def _make_sweep(*, moves: bool, meshes: bool) -> wp.Kernel:
+    """Return the kernel that sweeps a link; whether obstacles move and any part is a mesh."""
+    first_crossing = make_first_crossing(moves=moves, cores=True, meshes=meshes)
+    obstacles_type: Any = Obstacles if moves else int
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def sweep(
+        # scene
+        scene: SceneArrays,
+        motion: SceneMotion,
+        obstacles: obstacles_type,  # before they move
+        # params
+        sphere: wp.array[wp.vec4],  # (C,) contact points of the link: centre in its frame, radius [m]
+        body: wp.array[BodyShape],  # its shapes
+        hull: float,  # radius of a ball about its origin that holds them [m]
+        pivot: wp.vec3,  # its hinge, in its frame [m]
+        least_approach: float,  # [m/s]
+        dt: float,  # [s]
+        # state
+        first_position: wp.array[wp.vec3],  # (E,) of the link's frame at the start of the substep, world [m]
+        first_attitude: wp.array[wp.quat],  # (E,) link to world, xyzw
+        first_lin_vel: wp.array[wp.vec3],  # (E,) world [m/s]
+        first_ang_vel: wp.array[wp.vec3],  # (E,) world [rad/s]
+        position: wp.array[wp.vec3],  # (E,) at its end
+        attitude: wp.array[wp.quat],
+        # out
+        crashes_out: wp.array[wp.bool],  # (E,) set where the link touches something fast on its way
+    ):
+        """Say of one link of each environment whether it touches an obstacle at the speed of a crash during a substep."""
+        e = wp.tid()
+        q0 = first_attitude[e]
+        arm = wp.quat_rotate(q0, pivot)
+        done = Substep()
+        done.dt = dt
+        done.com = pivot
+        done.first_position = first_position[e] + arm
+        done.first_attitude = q0
+        done.first_lin_vel = first_lin_vel[e] + wp.cross(first_ang_vel[e], arm)
+        done.first_ang_vel = wp.quat_rotate_inv(q0, first_ang_vel[e])
+        done.position = position[e] + wp.quat_rotate(attitude[e], pivot)
+        done.attitude = attitude[e]
+        _found, crashes = first_crossing(
+            scene, motion, obstacles, sphere, body, least_approach, e, done, path_of(done), hull + wp.length(pivot)
+        )
+        if crashes:
+            crashes_out[e] = True
+
+    return sweep
 
 
 class LinksAmongObstacles:
@@ -88,30 +142,45 @@ class LinksAmongObstacles:
         self._places, self._stream = LinkPlaces(robot.joints, state, links, None), crashes_out
         self._move = None if moving is None else moving_on(moving, dt)
         self._kept_alive = (scene, links, moving)
+        self._links, self._first = links.state, torch.zeros_like(links.state)
+        obstacles = 0 if moving is None else moving
         self._looks: list[RecordedLaunch] = []
+        self._sweeps: list[RecordedLaunch] = []
         for number, name in enumerate(links.names):
             shapes = robot.collision.on(name)
             if not shapes:
                 continue
-            own, points = links.state[:, number], contact_points(shapes, device=scene.device)
-            seen = [scene.arrays, scene_motion(scene), points, body_shapes(shapes, device=scene.device)]
-            inputs = [*seen, cfg.least_approach, *own.split((3, 4, 3, 3), dim=-1)]
-            look = {"dim": scene.num_envs, "inputs": inputs, "outputs": [crashes_out], "device": scene.device}
-            self._looks.append(RecordedLaunch(_notice, **look))
+            points = contact_points(shapes, device=scene.device)
+            around = (scene.arrays, scene_motion(scene))
+            body = (points, body_shapes(shapes, device=scene.device))
+            first, last = (state[:, number].split((3, 4, 3, 3), dim=-1) for state in (self._first, self._links))
+            place = {"dim": scene.num_envs, "outputs": [crashes_out], "device": scene.device}
+            self._looks.append(RecordedLaunch(_notice, inputs=[*around, *body, cfg.least_approach, *last], **place))
+            hull = float((points[:, :3].norm(dim=1) + points[:, 3]).max())
+            inputs = [*around, obstacles, *body, hull, wp.vec3(*links.pivots[number]), cfg.least_approach, dt, *first]
+            kernel = _make_sweep(moves=moving is not None, meshes=scene.has_meshes)
+            self._sweeps.append(RecordedLaunch(kernel, inputs=[*inputs, *last[:2]], **place))
 
+    @torch.no_grad()
     def begin(self, state: BodyState) -> None:
-        """Do nothing: each look needs the present links alone."""
+        """Keep where the links are."""
+        del state
+        self._places.refresh()
+        self._first.copy_(self._links)
 
     @torch.no_grad()
     def after_substep(self, k: int, before: MassState, state: BodyState) -> None:
-        """Move the obstacles, and look at all links; launched on torch's current stream, not waited for."""
+        """Sweep all links, move the obstacles, and look; launched on torch's current stream, not waited for."""
         del k, before, state
         self._places.refresh()
         with on_torch_stream(self._stream):
+            for sweep in self._sweeps:
+                sweep.launch()
             if self._move is not None:
                 self._move.launch()
             for look in self._looks:
                 look.launch()
+        self._first.copy_(self._links)
 
     def fused(self) -> NoReturn:
         """Raise ``CapabilityError``: fused kernels find no contacts of links."""

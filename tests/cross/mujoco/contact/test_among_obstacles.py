@@ -160,3 +160,21 @@ def test_an_environment_among_obstacles_is_bit_for_bit_the_same_alone_and_when_i
     assert torch.equal(ends[1][0], ends[0][1])
     assert torch.equal(ends[2], ends[0])
     assert ends[0][:, -1].any()
+
+
+@pytest.mark.parametrize("speed", [0.0, -8.0])
+def test_a_thin_pole_between_two_poses_is_a_crash(on_legs: str, speed: float) -> None:
+    """At 10 to 40 m/s, from 64 distances each; the pole is at rest, or comes along."""
+    motion = (
+        MotionCfg() if speed == 0.0 else MotionCfg(kind="twist", lin_vel_low=(speed, 0, 0), lin_vel_high=(speed, 0, 0))
+    )
+    pole = AssetCfg(
+        name="pole", shapes=(ShapeCfg(kind="cylinder", radius=0.01, height=2.0),), count=1, motion=motion,
+        position_ratio_low=(0.5, 0.5, 0.5), position_ratio_high=(0.5, 0.5, 0.5),
+    )  # fmt: skip
+    sim = build(on_legs, replace(STANDING, assets=(pole,), ground_height=None), num_envs=64)
+    sim.reset()
+    share = torch.linspace(0.0, 1.0, 64)
+    put(sim, sim.gtd["obstacle_position"][:, 0] - torch.tensor([1.0, 0.0, 0.0]) * (0.3 + 0.4 * share[:, None]))
+    sim.gtd["robot_linvel"][:, 0] = 10.0 + 30.0 * (7.0 * share % 1.0)
+    assert let_go(sim, 0.1).all()
