@@ -19,7 +19,7 @@ demo: setup
 
 # The documentation site, with the generated reference: open site/index.html. Needs no network.
 docs: setup
-	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build
 
 test: setup
 	$(BIN)/python -m pytest -n auto --dist worksteal

@@ -120,10 +120,12 @@ def anchors(text: str) -> set[str]:
 
 
 def dead_links(path: str, text: str) -> list[str]:
-    """Return the links of a page whose file or anchor does not exist."""
+    """Return the links of a page whose file or anchor does not exist; the strict build checks those to the generated reference."""
     wrong = []
     for target in targets(text):
         name, _, anchor = target.partition("#")
+        if ((ROOT / path).parent / name).resolve().is_relative_to(ROOT / "docs" / "reference"):
+            continue
         file = (ROOT / path).parent / name if name else ROOT / path
         if not file.exists() or (anchor and anchor not in anchors(file.read_text("utf-8"))):
             wrong.append(target)
