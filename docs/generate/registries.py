@@ -24,16 +24,19 @@ from aerial_gym.sensors import IMUS, SENSORS
 from aerial_gym.task import ACTIONS, BUFFERS, COMMANDS, OBSERVATIONS, REWARDS, TERMINATIONS, task_registry
 from docs.generate.markdown import code_marks, page, table, value_text
 
+GALLERY = "![images of the sensors in several environments](../images/gallery.png)"
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 def registry_pages() -> dict[str, str]:
     """Return the pages by their path below ``reference/``."""
+    sensors = (*SENSORS.names(), *IMUS.names())
     return {
         "robots.md": page("Robots", _intro("robot", "--robot NAME"), map(_robot, ROBOTS.names())),
         "tasks.md": page("Tasks", _intro("task", "--task NAME"), map(_task, task_registry.names())),
         "environments.md": page("Environments", _intro("environment", "env_name"), map(_environment, ENVIRONMENTS.names())),
-        "sensors.md": page("Sensors", _intro("sensor", "sensors: [NAME]"), map(_sensor, (*SENSORS.names(), *IMUS.names()))),
+        "sensors.md": page("Sensors", _intro("sensor", "sensors: [NAME]"), [GALLERY, *map(_sensor, sensors)]),
         "effects.md": page("Effects", _intro("effect", "effects: {NAME: ...}"), map(_effect, EFFECTS.names())),
         "controllers.md": page("Controllers", _intro("controller", "controller_name"), [_controllers()]),
         "backends.md": page("Backends and sims", _intro("backend", "--backend NAME"), [_backends(), _sims()]),

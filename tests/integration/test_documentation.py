@@ -140,6 +140,14 @@ def test_every_block_names_its_language(page: Path) -> None:
     assert all(block.language for block in blocks_of(page))
 
 
+def test_pages_are_short() -> None:
+    """README has at most 70 lines, and a page that is no result some 1,500 words outside of code."""
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 70
+    for page in (page for page in PAGES if DOCS / "results" not in page.parents):
+        text = re.sub(r"^ *```.*?^ *```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+        assert len(text.split()) <= 1_650, name_of(page)
+
+
 class External(HTMLParser):
     """Collects what a page loads from a network."""
 
