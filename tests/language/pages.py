@@ -120,7 +120,7 @@ def anchors(text: str) -> set[str]:
 
 
 def dead_links(path: str, text: str) -> list[str]:
-    """Return the links of a page whose file or anchor does not exist; the site build checks links to the generated reference."""
+    """Return the links of a page whose file or anchor does not exist; the site build checks those of the reference."""
     wrong = []
     for target in targets(text):
         name, _, anchor = target.partition("#")
