@@ -5,9 +5,10 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
 from importlib import import_module
+from pathlib import Path
 from pkgutil import walk_packages
 
-import aerial_gym.config
+import aerial_gym
 from docs.generate.markdown import DocumentedField, code_marks, documented_fields, page, table, type_text, value_text
 
 PAGES: Mapping[str, tuple[str, Sequence[str]]] = {
@@ -23,12 +24,15 @@ PAGES: Mapping[str, tuple[str, Sequence[str]]] = {
         "Keys of training settings",
         (
             "aerial_gym.rl_training.settings",
+            "aerial_gym.rl_training.learner_settings",
             "aerial_gym.rl_training.policies.body",
             "aerial_gym.rl_training.encoder.settings",
         ),
     ),
 }
 """Title and modules of each page; names without a dot are modules of ``aerial_gym.config``."""
+
+PACKAGE = Path(aerial_gym.__file__).parent
 
 INTRODUCTION = (
     "For authors of configuration files. Each section is one mapping of the file. Unknown keys are refused, and values "
@@ -44,15 +48,15 @@ def configuration_pages() -> dict[str, str]:
     }
 
 
-def documented_classes() -> set[type]:
-    """Return every dataclass that has a section on one of the pages."""
-    return {cls for _, modules in PAGES.values() for cls in _classes(modules)}
+def documented_names() -> set[str]:
+    """Return the names of the dataclasses that have a section on one of the pages."""
+    return {cls.__name__ for _, modules in PAGES.values() for cls in _classes(modules)}
 
 
-def configuration_classes() -> set[type]:
-    """Return every configuration dataclass of ``aerial_gym.config``."""
-    modules = (each.name for each in walk_packages(aerial_gym.config.__path__, "aerial_gym.config."))
-    return {cls for module in modules for cls in _defined(module)}
+def configuration_names() -> set[str]:
+    """Return the names of all configuration classes in the source of the package."""
+    files = (path for folder in ("config", "rl_training") for path in (PACKAGE / folder).rglob("*.py"))
+    return {name for path in files for name in re.findall(r"^class (\w+Cfg)\b", path.read_text("utf-8"), re.MULTILINE)}
 
 
 def _classes(modules: Sequence[str]) -> Iterator[type]:

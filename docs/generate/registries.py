@@ -17,6 +17,7 @@ from aerial_gym.control.laws import LAWS
 from aerial_gym.env_manager import SIMS
 from aerial_gym.physics import BACKENDS, EFFECTS
 from aerial_gym.registry.registry import Registry
+from aerial_gym.rl_training import TRAINERS
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.check import check_robot
 from aerial_gym.robots.quantities import table as quantity_table
@@ -40,6 +41,7 @@ def registry_pages() -> dict[str, str]:
         "effects.md": page("Effects", _intro("effect", "effects: {NAME: ...}"), map(_effect, EFFECTS.names())),
         "controllers.md": page("Controllers", _intro("controller", "controller_name"), [_controllers()]),
         "backends.md": page("Backends and sims", _intro("backend", "--backend NAME"), [_backends(), _sims()]),
+        "trainers.md": page("Trainers", _intro("trainer", "--trainer NAME"), [_summaries(TRAINERS)]),
         "terms.md": page("Parts of tasks", _intro("term", "term: NAME"), _terms()),
         "quantities.md": page(
             "Quantities that resets can draw", _intro("quantity", "randomize: {NAME: ...}"), [quantity_table()]
@@ -216,7 +218,8 @@ def _terms() -> list[str]:
         "Actions": ACTIONS,
         "Task buffers": BUFFERS,
     }
-    return [
-        f"## {title}\n\n" + table(("name", "meaning"), ((f"`{name}`", line) for name, line in registry.summaries().items()))
-        for title, registry in kinds.items()
-    ]  # fmt: skip
+    return [f"## {title}\n\n{_summaries(registry)}" for title, registry in kinds.items()]
+
+
+def _summaries(registry: Registry[Any]) -> str:
+    return table(("name", "meaning"), ((f"`{name}`", line) for name, line in registry.summaries().items()))

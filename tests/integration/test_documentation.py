@@ -199,6 +199,6 @@ def test_the_reference_has_every_name(site: Path) -> None:
 
 
 def test_every_configuration_class_is_in_the_reference() -> None:
-    from docs.generate.configuration import configuration_classes, documented_classes
+    from docs.generate.configuration import configuration_names, documented_names
 
-    assert configuration_classes() <= documented_classes()
+    assert configuration_names() <= documented_names()
