@@ -1,4 +1,4 @@
-"""What can every registered robot do? The tables of ``docs/results/robots.md``.
+"""Limits of every registered robot: the table of ``docs/results/robots.md``.
 
     python -m benchmarks.control.robot_table [--write docs/results/robots.md] [--robots NAME ...]
 
@@ -24,14 +24,14 @@ BEGIN, END = "<!-- table: begin, by python -m benchmarks.control.robot_table -->
 
 
 def shown_robots() -> list[str]:
-    """Return the robots that have a row: rigid ones that fly differently, and those that bend, in one mode of their drives."""
+    """Return the robots of the table: rigid ones that fly differently, and those with joints in one mode of their drives."""
     bend = list(different_robots(bend=True))
     alike = {name: next(first for first in bend if name == first or name in variants_of(first)) for name in bend}
     return [*different_robots(), *dict.fromkeys(alike.values())]
 
 
 def variants_of(name: str) -> list[str]:
-    """Return the registered robots that fly like one and differ in sensors, shapes, effects, starts or drives."""
+    """Return the registered robots that differ from one in sensors, shapes, effects, starts or drives only."""
     first = ROBOTS.get(name)
     same = [other for other in ROBOTS if (r := ROBOTS.get(other)).body == first.body and r.mounts == first.mounts]
     return [other for other in same if other != name and ROBOTS.get(other).rotor_types == first.rotor_types]
@@ -68,26 +68,14 @@ def _steps(report: RobotReport) -> str:
     return largest if moves else f"held rigid: {largest}"
 
 
-def summaries(names: list[str]) -> str:
-    """Return a line for each robot, and its variants."""
-    lines = [
-        "| robot | what it is | the same with other sensors, shapes, starts, effects or drives |",
-        "| --- | --- | --- |",
-    ]
-    for name in names:
-        others = ", ".join(f"`{other}`" for other in variants_of(name)) or "-"
-        lines.append(f"| `{name}` | {ROBOTS.get(name).summary} | {others} |")
-    return "\n".join(lines)
-
-
 def page(reports: list[RobotReport]) -> str:
-    """Return both tables and what they were made with."""
-    made = f"{platform.machine()} CPU, torch {torch.__version__.split('+')[0]}, Warp {warp.config.version}."
-    return "\n\n".join((summaries([report.name for report in reports]), made, table(reports)))
+    """Return the table with the hardware and versions that made it."""
+    versions = f"{platform.machine()} CPU, torch {torch.__version__.split('+')[0]}, Warp {warp.config.version}."
+    return f"{table(reports)}\n\n{versions}"
 
 
 def main() -> None:
-    """Print the tables; with ``--write`` put them between the marks of a page."""
+    """Print the table; with ``--write`` put it between the marks of a page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", type=Path, help="page with the marks")
     parser.add_argument("--robots", nargs="+", metavar="NAME", help="only these")
