@@ -66,14 +66,18 @@ def module_imports(path: Path) -> set[str]:
 
 
 def wrong_imports(folder: Path, ranks: dict[str, int]) -> list[str]:
-    """Return the files of a package that import a part of it which does not stand further left."""
+    """Return the files of a package that import a part of it which does not stand further left.
+
+    A module of the same group, such as ``errors.py``, may be imported by the packages of its group.
+    """
     package = ".".join(folder.relative_to(ROOT.parent).parts)
     offences = []
     for path in sorted(folder.rglob("*.py")):
         part = path.relative_to(folder).parts[0].removesuffix(".py")
         names = {name.removeprefix(f"{package}.") for name in module_imports(path) if name.startswith(f"{package}.")}
         for other in {name.split(".")[0] for name in names} & ranks.keys() - {part}:
-            if part != "__init__" and ranks[other] >= ranks[part]:
+            module_of_group = ranks[other] == ranks.get(part) and (folder / f"{other}.py").exists()
+            if part != "__init__" and ranks[other] >= ranks[part] and not module_of_group:
                 offences.append(f"{path.relative_to(ROOT)}: {part} must not import {other}")
     return offences
 
