@@ -7,9 +7,6 @@ from typing import NamedTuple
 
 from tests.language.names import ROOT
 
-START = ("README.md", "docs/index.md")
-"""Pages from which each other page is reachable: those of the repository and of the site."""
-
 WORD = re.compile(r"[A-Za-z][A-Za-z'-]*")
 LINK = re.compile(r"!?\[([^\]]*)\]\(<?([^)\s>]*)>?[^)]*\)")
 ADDRESS = re.compile(r"<(?:img|a|source)\b[^>]*?\b(?:src|href)=[\"']([^\"']+)")
@@ -29,6 +26,15 @@ def pages() -> dict[str, str]:
     """Return the text of each page by its path."""
     files = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
     return {file.relative_to(ROOT).as_posix(): file.read_text("utf-8") for file in files}
+
+
+@cache
+def menu() -> list[str]:
+    """Return the pages of the site's menu; those below ``docs/reference`` are generated, and not in the repository."""
+    return [
+        f"docs/{name}"
+        for name in re.findall(r"^\s+- (?:.*: )?(\S+\.md)$", (ROOT / "mkdocs.yml").read_text("utf-8"), re.M)
+    ]
 
 
 def prose_lines(text: str) -> Iterator[str]:
@@ -124,18 +130,18 @@ def dead_links(path: str, text: str) -> list[str]:
     wrong = []
     for target in targets(text):
         name, _, anchor = target.partition("#")
-        if ((ROOT / path).parent / name).resolve().is_relative_to(ROOT / "docs" / "reference"):
+        file = ((ROOT / path).parent / name).resolve() if name else ROOT / path
+        if file.is_relative_to(ROOT / "docs/reference") and file.relative_to(ROOT).as_posix() in menu():
             continue
-        file = (ROOT / path).parent / name if name else ROOT / path
         if not file.exists() or (anchor and anchor not in anchors(file.read_text("utf-8"))):
             wrong.append(target)
     return wrong
 
 
 def reachable() -> set[str]:
-    """Return the pages that a chain of links reaches from the pages of ``START``."""
+    """Return the pages that a chain of links reaches from README or the site's menu."""
     reached: set[str] = set()
-    waiting = [path for path in START if path in pages()]
+    waiting = [path for path in ("README.md", *menu()) if path in pages()]
     while waiting:
         path = waiting.pop()
         reached.add(path)

@@ -101,7 +101,7 @@ def repeated_classes() -> Offences:
 
 
 def unreachable_pages() -> Offences:
-    """Return the pages that no chain of links reaches from README or the site's index."""
+    """Return the pages that no chain of links reaches from README or the site's menu."""
     return {path: ["no link"] for path in text.pages().keys() - text.reachable()}
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 
+from aerial_gym import task_registry
 from aerial_gym.errors import ConfigError, StorageError, TrainingError
 from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.run.interruption import interruptible
@@ -161,8 +162,8 @@ def test_a_writer_of_summaries_outlives_a_full_disk_and_says_so() -> None:
 
 def test_a_training_that_diverged_ends_and_keeps_what_was_good(tmp_path: Path) -> None:
     cfg, folder = load_settings(settings_for("rl_games", "position_setpoint_task")), RunFolder(tmp_path)
-    env = SimpleNamespace(random=SimpleNamespace(state_tensors=dict))
-    keeper = Keeper(cfg, folder, SimpleNamespace(curriculum=None, env=env), resumed=None)  # type: ignore[arg-type]
+    task = task_registry.make_task("position_setpoint_task", num_envs=2, device="cpu")
+    keeper = Keeper(cfg, folder, task, resumed=None)
     keeper.save({"model": {"weight": torch.ones(3)}}, env_steps=5)
     good = folder.last_checkpoint()
     with pytest.raises(

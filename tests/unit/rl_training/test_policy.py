@@ -113,7 +113,8 @@ class Scripted:
 class ScriptedTask:
     """Four flights of 3 s at 2 steps a second, with distances that are known."""
 
-    cfg, env = SimpleNamespace(episode_len_steps=6, success_radius=None, tells_success=False), SimpleNamespace(dt=0.5)
+    cfg = replace(task_registry.get("position_setpoint_task"), episode_len_steps=6)
+    env = SimpleNamespace(dt=0.5)
     num_envs, device = 4, torch.device("cpu")
     distances = torch.tensor(
         [
@@ -165,7 +166,7 @@ def test_evaluation_of_a_race_tells_gates_and_times() -> None:
     done[0, 2], done[0, 4], done[1, 1], crash[2, 1] = True, True, True, True  # after 1.5 s and 1 s; a crash after 1 s
 
     class Race(ScriptedTask):
-        cfg = SimpleNamespace(episode_len_steps=6, success_radius=None, tells_success=True)
+        cfg = replace(task_registry.get("racing_task"), episode_len_steps=6)
 
         def step(self, actions: torch.Tensor):
             k = self.step_count

@@ -4,11 +4,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
 from aerial_gym import task_registry
+from aerial_gym.rl_training import load_settings, settings_for
 from aerial_gym.task import Task
 from benchmarks.learning.racing import BenchRacing, _line
 from tests.unit.export.policies import drawn_policy
@@ -24,7 +24,7 @@ def make_short(make: Callable[..., Task], level: str, **options: int | str) -> T
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> BenchRacing:
     """With a policy of random weights in place of one that was trained."""
-    found = (drawn_policy(56), SimpleNamespace(task="racing_task"))
+    found = (drawn_policy(56), load_settings(settings_for("ppo", "racing_task")))
     monkeypatch.setattr("aerial_gym.rl_training.policies.load.load_policy", lambda source, device: found)
     monkeypatch.setattr(task_registry, "make_task", partial(make_short, task_registry.make_task))
     return BenchRacing(policy=Path("nowhere"), levels=("racing_task",), num_envs=21)
