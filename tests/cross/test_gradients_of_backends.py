@@ -8,15 +8,7 @@ from torch import Tensor
 
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.errors import CapabilityError
-from aerial_gym.physics import (
-    EFFECTS,
-    BodyState,
-    Ground,
-    TorchBackend,
-    WarpBackend,
-    build_model,
-    vehicle_from_config,
-)
+from aerial_gym.physics import EFFECTS, BodyState, Ground, TorchBackend, WarpBackend, build_model, vehicle_from_config
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.robots import ROBOTS
 from tests.physics.vehicles import CEILING, ON_RIGID, lopsided_robot, random_network, random_state

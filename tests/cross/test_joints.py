@@ -11,7 +11,6 @@ from dataclasses import replace
 import pytest
 import torch
 
-from aerial_gym import SimBuilder
 from aerial_gym.config.joint import CreepCfg, DriveCfg, EndsCfg, JointCfg, JointsCfg, LinkCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
@@ -23,6 +22,7 @@ from aerial_gym.physics.state import JointedState
 from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 from tests.physics.vehicles import CEILING, random_state
 from tests.repetitions import often
 
@@ -139,8 +139,7 @@ def fly(
     signs = torch.where(draw(NUM_ENVS, 1) > 0.0, 1.0, -1.0) * 2.0**-24
     signs = torch.cat([nudge * signs for nudge in nudges])
     state = replace(
-        state,
-        **{name: (tensor.repeat(copies, 1) * (1.0 + signs)).to(dtype) for name, tensor in vars(state).items()},
+        state, **{name: (tensor.repeat(copies, 1) * (1.0 + signs)).to(dtype) for name, tensor in vars(state).items()}
     )
     random = Randomness(copies * NUM_ENVS)
     random.environment.copy_(torch.arange(NUM_ENVS, dtype=torch.int32).repeat(copies))
@@ -211,13 +210,11 @@ def test_a_differentiable_fused_rollout_moves_no_joints() -> None:
 
 def test_an_environment_of_bending_robots_among_obstacles_sees_the_ground_and_ends_there() -> None:
     """Morphy without thrust falls from between obstacles to the ground; sensors and collision test run on."""
-    env = SimBuilder().build_env(
-        sim_name="base_sim_2ms",
-        env_name="forest_env",
-        robot_name=replace(ROBOTS.get("morphy"), sensors=("coarse_depth_camera", "base_imu")),
-        controller_name="no_control",
+    env = simulation(
+        replace(ROBOTS.get("morphy"), sensors=("coarse_depth_camera", "base_imu")),
+        sim="base_sim_2ms",
+        env="forest_env",
         num_envs=4,
-        device="cpu",
         seed=1,
     )
     env.reset()

@@ -5,14 +5,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-from aerial_gym import SimBuilder
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.env_manager import SIMS
 from aerial_gym.errors import CapabilityError
 from aerial_gym.physics import BACKENDS, TorchBackend
 from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 from tests.cross.test_joints import FACTOR, ROUND_OFF, odd_tree
 from tests.cross.test_link_drag import OF_ALL, fly
 from tests.physics.articulated.test_link_buoyancy import crooked, under_water
@@ -75,10 +74,7 @@ def test_a_reset_draws_the_buoyancy_of_a_link() -> None:
         sensors=(),
         randomize={"effects.link_buoyancy.azimuth_1.force": drawn},
     )
-    env = SimBuilder().build_env(
-        sim_name=replace(SIMS.get("base_sim_2ms"), backend="torch"), env_name="empty_env", robot_name=robot,
-        controller_name="no_control", num_envs=8, device="cpu", seed=1,
-    )  # fmt: skip
+    env = simulation(robot, sim="base_sim_2ms", num_envs=8, seed=1, backend="torch")
     env.reset()
     env.gtd["robot_orientation"][:] = torch.tensor([0.0, 0.0, 0.0, 1.0])
     env.gtd["dof_position"].zero_()

@@ -7,11 +7,7 @@ import pytest
 from torch import Tensor
 
 from aerial_gym.control.reduced_attitude import canonical, shortest_turn
-from aerial_gym.math.quaternion import (
-    quat_conjugate,
-    quat_multiply,
-    quat_rotate,
-)
+from aerial_gym.math.quaternion import quat_conjugate, quat_multiply, quat_rotate
 from tests.cross.firmware.px4_pairs import (
     attitude_cases,
     attitude_pair,

@@ -7,12 +7,9 @@ import pytest
 import torch
 import warp as wp
 
-from aerial_gym import SimBuilder, task_registry
-from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym import task_registry
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import BatteryCfg
-from aerial_gym.control import CONTROLLERS
-from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import CapabilityError
 from aerial_gym.interop import on_torch_stream
 from aerial_gym.interop.rows.transport import FEW
@@ -21,6 +18,7 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import OBSERVATIONS, Task
 from aerial_gym.task.terms.term import Term
+from tests.builders import simulation
 from tests.unit.interop.rows.test_transport import check_transport
 from tests.unit.robots.test_derived import check_derived, derived, motions
 from tests.unit.task.hover import rich, seeing
@@ -30,14 +28,12 @@ pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="this mach
 
 
 def obstacle_env(num_envs: int = 64):
-    env = SimBuilder().build_env(
-        sim_name="base_sim",
-        env_name="env_with_obstacles",
-        robot_name="base_quadrotor_with_camera",
-        controller_name="lee_velocity_control",
+    env = simulation(
+        "base_quadrotor_with_camera",
+        "lee_velocity_control",
+        env="env_with_obstacles",
         num_envs=num_envs,
         device="cuda:0",
-        seed=0,
     )
     env.reset()
     return env
@@ -112,22 +108,10 @@ def test_a_captured_navigation_step_is_the_eager_step() -> None:
     for capture in (False, True):
         cfg = task_registry.get("navigation_task")
         limits = replace(cfg.curriculum, check_after=100, raise_above=0.0, lower_below=0.0)
-        env = SimBuilder().build_env(
-            sim_name=cfg.sim,
-            env_name=cfg.env,
-            robot_name=cfg.robot,
-            controller_name=cfg.controller,
-            num_envs=64,
-            device="cuda:0",
-            seed=0,
-        )
+        env = simulation(cfg.robot, cfg.controller, sim=cfg.sim, env=cfg.env, num_envs=64, device="cuda:0")
         noiseless = tuple(replace(entry, noise_std=0.0) for entry in cfg.observations["policy"])
         cfg = changed(
-            cfg,
-            curriculum=limits,
-            episode_len_steps=10,
-            success_radius=11.0,
-            observations={"policy": noiseless},
+            cfg, curriculum=limits, episode_len_steps=10, success_radius=11.0, observations={"policy": noiseless}
         )
         task = Task(cfg, env, capture=capture)
         task.reset(seed=3)
@@ -183,11 +167,9 @@ def test_a_captured_step_with_effects_that_remember_is_the_eager_step() -> None:
     )  # fmt: skip
     found = []
     for capture in (False, True):
-        env = EnvManager(
-            sim=SIMS.get("base_sim"),
-            env=ENVIRONMENTS.get("empty_env"),
-            robot=replace(robot, effects=effects, effects_source="test", battery=battery),
-            controller=CONTROLLERS.get("lee_velocity_control"),
+        env = simulation(
+            replace(robot, effects=effects, effects_source="test", battery=battery),
+            "lee_velocity_control",
             num_envs=64,
             device=torch.device("cuda:0"),
             seed=5,
@@ -231,11 +213,11 @@ RANDOMIZE = {
 
 def randomised_task(num_envs: int, *, capture: bool, **numbers: int) -> Task:
     cfg = replace(task_registry.get("position_setpoint_task"), num_envs=num_envs, randomize=RANDOMIZE)
-    env = SimBuilder().build_env(
-        sim_name=cfg.sim,
-        env_name=cfg.env,
-        robot_name="base_quadrotor_with_imu",
-        controller_name=cfg.controller,
+    env = simulation(
+        "base_quadrotor_with_imu",
+        cfg.controller,
+        sim=cfg.sim,
+        env=cfg.env,
         num_envs=num_envs,
         device="cuda:0",
         seed=3,
@@ -354,14 +336,7 @@ def test_a_written_payload_acts_in_the_next_step_of_a_task(capture: bool) -> Non
     """Environment 1 carries a fifth of the mass more from the fourth step on, and sinks."""
     cfg = replace(task_registry.get("position_setpoint_task"), num_envs=2)
     robot = replace(ROBOTS.get(cfg.robot), effects={"payload_mass": {"dm": 0.0}}, effects_source="test")
-    env = SimBuilder().build_env(
-        sim_name=cfg.sim,
-        env_name=cfg.env,
-        robot_name=robot,
-        controller_name=cfg.controller,
-        num_envs=2,
-        device="cuda:0",
-    )
+    env = simulation(robot, cfg.controller, sim=cfg.sim, env=cfg.env, device="cuda:0")
     task = Task(cfg, env, capture=capture)
     task.reset(seed=0)
     actions = torch.zeros(2, task.num_actions, device="cuda:0")

@@ -8,7 +8,6 @@ import pytest
 import torch
 import warp as wp
 
-from aerial_gym import SimBuilder
 from aerial_gym.assets import clearance, motion, placement, track
 from aerial_gym.assets.collision import make_walk
 from aerial_gym.config.contact import ContactCfg
@@ -29,6 +28,7 @@ from aerial_gym.sensors.cells import LANES, ROWS, make_pool
 from aerial_gym.sensors.pixels import Outputs
 from aerial_gym.sensors.ray_kernels import make_warp_kernel
 from aerial_gym.task.kernels import goals, noise, practice
+from tests.builders import simulation
 from tests.physics.contact_rig import InScene, obstacle, start
 from tests.physics.mixed_rotors import mixed_robot
 from tests.physics.vehicles import ON_RIGID, random_network
@@ -131,13 +131,9 @@ def test_the_physics_kernel_with_contact_compiles() -> None:
 
 
 def test_the_kernel_of_a_randomised_robot_compiles() -> None:
-    env = SimBuilder().build_env(
-        sim_name="base_sim",
-        env_name="empty_env",
-        robot_name="base_quadrotor",
-        controller_name="lee_velocity_control",
-        num_envs=2,
-        device="cpu",
+    env = simulation(
+        "base_quadrotor",
+        "lee_velocity_control",
         randomize={
             "body.mass": RandomizeCfg(low=0.8, high=1.2),
             "effects.com_offset.x": RandomizeCfg(how="value", low=0.0, high=0.01),
@@ -155,13 +151,9 @@ def test_the_kernel_of_a_randomised_robot_compiles() -> None:
     ["base_quadrotor", pytest.param("omnidirectional_octarotor", marks=pytest.mark.slow)],  # the same of another size
 )
 def test_the_kernels_of_an_allocation_in_each_environment_compile(robot: str) -> None:
-    env = SimBuilder().build_env(
-        sim_name="base_sim",
-        env_name="empty_env",
-        robot_name=replace(ROBOTS.get(robot), control=ControlCfg(effectiveness="actual")),
-        controller_name="lee_attitude_control",
-        num_envs=2,
-        device="cpu",
+    env = simulation(
+        replace(ROBOTS.get(robot), control=ControlCfg(effectiveness="actual")),
+        "lee_attitude_control",
         randomize={
             "rotor.thrust_map": RandomizeCfg(each_rotor=True, low=0.9, high=1.1),
             "mounts.*.axis": RandomizeCfg(each_rotor=True, how="offset", low=-0.1, high=0.1),

@@ -12,9 +12,9 @@ import torch
 from aerial_gym.config.collision import CapsuleCfg, CollisionCfg
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, PartCfg, ShapeCfg
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 
 NUM_ENVS, SPEED, DT = 400, 20.0, 0.01
 RACER = ROBOTS.get("crazyflie_21_brushless_racing")
@@ -46,10 +46,9 @@ def build(shape: ShapeCfg | None, *, backend: str = "warp", robot: RobotCfg = RA
         summary="a test", source="test", physics_steps_per_env_step=1, assets=() if asset is None else (asset,),
         **ROOM, **fields,
     )  # fmt: skip
-    env = EnvManager(
-        sim=replace(SIMS.get("base_sim"), backend=backend, dt=DT), env=cfg, robot=robot,
-        controller=CONTROLLERS.get("no_control"), num_envs=NUM_ENVS, device=torch.device("cpu"), seed=1,
-    )  # fmt: skip
+    env = simulation(
+        robot, sim=replace(SIMS.get("base_sim"), backend=backend, dt=DT), env=cfg, num_envs=NUM_ENVS, seed=1
+    )
     env.reset()
     for key in ("robot_position", "robot_linvel", "robot_body_angvel", "rotor_speed"):
         env.gtd[key].zero_()

@@ -10,11 +10,12 @@ import pytest
 import torch
 from scipy.interpolate import CubicHermiteSpline
 
-from aerial_gym import ENVIRONMENTS, SIMS, SimBuilder
+from aerial_gym import ENVIRONMENTS, SIMS
 from aerial_gym.config.joint import CreepCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real.teststand.joints.record import Release, alternate_blocks, creep_elements, fit_rows
+from tests.builders import simulation
 
 RECORD = Path(__file__).parents[2].parent / "shared" / "data" / "bench" / "morphy_joint_step.csv"
 
@@ -35,13 +36,11 @@ SHOWN_S = 0.002
 def let_go(robot: RobotCfg, start: float, time: np.ndarray, *, dt: float) -> np.ndarray:
     """Return the first elevation [rad] at times [s] after the base's arms were let go at ``start``, in steps of ``dt`` [s]."""
     substeps = round(SHOWN_S / dt)
-    env = SimBuilder().build_env(
-        sim_name=replace(SIMS.get("base_sim_2ms"), dt=dt),
-        env_name=replace(ENVIRONMENTS.get("empty_env_2ms"), physics_steps_per_env_step=substeps),
-        robot_name=robot,
-        controller_name="no_control",
+    env = simulation(
+        robot,
+        sim=replace(SIMS.get("base_sim_2ms"), dt=dt),
+        env=replace(ENVIRONMENTS.get("empty_env_2ms"), physics_steps_per_env_step=substeps),
         num_envs=1,
-        device="cpu",
     )
     env.reset()
     env.gtd["dof_position"].zero_()

@@ -144,8 +144,7 @@ def test_thrust_command_zero_is_weight_and_one_is_twice_the_weight() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "action"),
-    [("lee_attitude_control", [0.0, 0.2, 0.0, 0.0]), ("lee_rates_control", [0.0, 0.2, 0.0, 0.0])],
+    ("name", "action"), [("lee_attitude_control", [0.0, 0.2, 0.0, 0.0]), ("lee_rates_control", [0.0, 0.2, 0.0, 0.0])]
 )
 def test_positive_roll_command_speeds_up_the_left_rotors(name: str, action: list[float]) -> None:
     """Positive roll lowers the right (-y) side: rotors 3 and 4 at +y must pull harder than 1 and 2 at -y."""

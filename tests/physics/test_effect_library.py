@@ -13,15 +13,7 @@ import torch
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate
-from aerial_gym.physics import (
-    EFFECTS,
-    INTEGRATORS,
-    BodyState,
-    accelerations,
-    advance,
-    build_model,
-    vehicle_from_config,
-)
+from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, accelerations, advance, build_model, vehicle_from_config
 from aerial_gym.physics.model import Model, check_effects
 from aerial_gym.robots import ROBOTS
 from tests.physics.test_effects import effects_of, still

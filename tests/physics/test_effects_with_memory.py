@@ -12,7 +12,7 @@ from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.robot import BatteryCfg, RobotCfg
 from aerial_gym.control import CONTROLLERS
-from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate
 from aerial_gym.math.random import Randomness
@@ -31,6 +31,7 @@ from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.memory import begin_substep, end_substep, forget, load_of, make_memory
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 from tests.physics.swing import fly_remembering
 from tests.physics.test_effects import effects_of, still
 from tests.physics.test_rigid_body import SpeedControl
@@ -464,14 +465,12 @@ def simulator(
     backend: str, effects: dict[str, dict[str, float]], *, ceiling: float | None, seed: int = 3
 ) -> EnvManager:
     """Return a simulation of a vehicle that need not hover under all of its effects."""
-    return EnvManager(
-        sim=replace(SIMS.get("base_sim"), backend=backend),
+    return simulation(
+        replace(lopsided_robot(), effects=effects),
+        replace(CONTROLLERS.get("lee_velocity_control"), if_unstable="warn"),
         env=replace(ENVIRONMENTS.get("empty_env"), ceiling_height=ceiling),
-        robot=replace(lopsided_robot(), effects=effects),
-        controller=replace(CONTROLLERS.get("lee_velocity_control"), if_unstable="warn"),
-        num_envs=2,
-        device=torch.device("cpu"),
         seed=seed,
+        backend=backend,
     )
 
 

@@ -5,26 +5,18 @@ from math import pi
 import pytest
 import torch
 
-from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.gains import gains_for
-from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate_inverse
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 
 
 def flown(robot: str, controller: str, actions: torch.Tensor, steps: int) -> EnvManager:
-    env = EnvManager(
-        sim=SIMS.get("base_sim"),
-        env=ENVIRONMENTS.get("empty_env"),
-        robot=ROBOTS.get(robot),
-        controller=CONTROLLERS.get(controller),
-        num_envs=len(actions),
-        device=torch.device("cpu"),
-        seed=0,
-    )
+    env = simulation(robot, controller, num_envs=len(actions))
     env.reset()
     for _ in range(steps):
         env.step(actions)

@@ -5,23 +5,19 @@ from dataclasses import replace
 import pytest
 import torch
 
-from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.randomize import RandomizeCfg
-from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS, EnvManager
-from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 
 LOAD, LENGTH = 0.05, 0.5
 
 
 def make(backend: str, *, num_envs: int = 3, differentiable: bool = False, **drawn: RandomizeCfg) -> EnvManager:
-    env = EnvManager(
+    env = simulation(
+        "base_quadrotor_with_payload",
         sim=replace(SIMS.get("base_sim_2ms"), backend=backend, integrator="rk4"),
-        env=ENVIRONMENTS.get("empty_env_2ms"),
-        robot=ROBOTS.get("base_quadrotor_with_payload"),
-        controller=CONTROLLERS.get("no_control"),
+        env="empty_env_2ms",
         num_envs=num_envs,
-        device=torch.device("cpu"),
         seed=2,
         randomize={f"effects.slung_payload.{name}": each for name, each in drawn.items()},
         differentiable=differentiable,
@@ -98,8 +94,5 @@ def test_both_backends_and_one_with_gradients_show_the_same_load() -> None:
 
 
 def test_a_robot_without_a_load_has_no_such_keys() -> None:
-    env = EnvManager(
-        sim=SIMS.get("base_sim"), env=ENVIRONMENTS.get("empty_env"), robot=ROBOTS.get("base_quadrotor"),
-        controller=CONTROLLERS.get("no_control"), num_envs=2, device=torch.device("cpu"), seed=0,
-    )  # fmt: skip
+    env = simulation("base_quadrotor")
     assert "load_position" not in env.gtd

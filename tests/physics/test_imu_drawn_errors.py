@@ -11,12 +11,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.sensor_mount import SensorMountCfg
-from aerial_gym.control import CONTROLLERS
-from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 
 ROUND_OFF = 8.0 * 2.0**-20
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
@@ -51,16 +50,7 @@ def build(
     robot = replace(ROBOTS.get("base_quadrotor"), sensors=(SensorMountCfg(sensor=sensor, name="imu"),))
     if effects:
         robot = replace(robot, effects=effects, effects_source="test")
-    env = EnvManager(
-        sim=replace(SIMS.get("base_sim"), backend=backend),
-        env=ENVIRONMENTS.get("empty_env"),
-        robot=robot,
-        controller=CONTROLLERS.get("lee_velocity_control"),
-        num_envs=num_envs,
-        device=torch.device("cpu"),
-        seed=2,
-        randomize=randomize,
-    )
+    env = simulation(robot, "lee_velocity_control", num_envs=num_envs, seed=2, randomize=randomize, backend=backend)
     env.reset()
     return env
 

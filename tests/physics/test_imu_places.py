@@ -11,15 +11,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.sensor_mount import SensorMountCfg
-from aerial_gym.control import CONTROLLERS
-from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_from_euler, quat_multiply, quat_rotate, quat_rotate_inverse
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import Pose
+from tests.builders import simulation
 from tests.physics.imu_rig import IDEAL, NOISY, G, Rig, spin_about_z, wobble
 
 LOW, HIGH = (-0.2, -0.3, -0.1), (0.4, 0.1, 0.2)
@@ -130,15 +129,13 @@ def flown(
     first: str | SensorMountCfg = "base_imu",
 ) -> EnvManager:
     """Return environments after a few steps with a reset of every third on the way."""
-    env = EnvManager(
-        sim=replace(SIMS.get("base_sim"), backend=backend),
-        env=ENVIRONMENTS.get("empty_env"),
-        robot=replace(ROBOTS.get("base_quadrotor"), sensors=(first, TAIL)),
-        controller=CONTROLLERS.get("lee_velocity_control"),
+    env = simulation(
+        replace(ROBOTS.get("base_quadrotor"), sensors=(first, TAIL)),
+        "lee_velocity_control",
         num_envs=num_envs,
-        device=torch.device("cpu"),
         seed=2,
         randomize=randomize,
+        backend=backend,
     )
     env.reset()
     number = torch.arange(num_envs)

@@ -8,24 +8,16 @@ import numpy as np
 import pytest
 import torch
 
-from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.learned_residual import LayerCfg, LearnedResidualCfg
 from aerial_gym.config.robot import RobotCfg, load_robot
 from aerial_gym.control import CONTROLLERS, make_controller
-from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import CapabilityError, ConfigError
-from aerial_gym.physics import (
-    BodyState,
-    TorchBackend,
-    WarpBackend,
-    accelerations,
-    build_model,
-    vehicle_from_config,
-)
+from aerial_gym.physics import BodyState, TorchBackend, WarpBackend, accelerations, build_model, vehicle_from_config
 from aerial_gym.physics.capabilities import check_capabilities
 from aerial_gym.physics.effects import LearnedResidual, WrenchEffect
 from aerial_gym.physics.model import Model, robot_effects
+from tests.builders import simulation
 from tests.physics.vehicles import F64, lopsided_robot, random_network, random_state
 
 NUM_ENVS = 24
@@ -204,15 +196,7 @@ def test_a_robot_file_with_it_flies(tmp_path: Path, backend: str) -> None:
     assert found == robot
     ends = []
     for flown in (found, replace(found, learned_residual=None)):
-        env = EnvManager(
-            sim=replace(SIMS.get("base_sim"), backend=backend),
-            env=ENVIRONMENTS.get("empty_env"),
-            robot=flown,
-            controller=CONTROLLERS.get("rotor_speed_control"),
-            num_envs=2,
-            device=torch.device("cpu"),
-            seed=0,
-        )
+        env = simulation(flown, "rotor_speed_control", backend=backend)
         env.reset()
         if flown is found:
             env.gtd["effect_learned_residual"][1] = 0.0

@@ -13,9 +13,10 @@ from aerial_gym.config.environment import ShapeCfg
 from aerial_gym.config.joint import JointsCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS
-from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 from tests.physics.test_links_seen import DEVICES, DOWN, END, HINGE, LEFT, arm, bending
 
 RADIUS, LENGTH = 0.02, END - HINGE
@@ -34,10 +35,7 @@ def fly(
     robot: RobotCfg, device: torch.device, *, ground: float | None = None, substeps: int = 1, backend: str = "auto"
 ) -> EnvManager:
     env = replace(ENVIRONMENTS.get("empty_env"), ground_height=ground, physics_steps_per_env_step=substeps)
-    manager = EnvManager(
-        sim=replace(SIMS.get("base_sim"), backend=backend), env=env, robot=robot,
-        controller=CONTROLLERS.get("no_control"), num_envs=2, device=device, seed=1,
-    )  # fmt: skip
+    manager = simulation(robot, env=env, device=device, seed=1, backend=backend)
     manager.reset()
     return manager
 
@@ -138,10 +136,7 @@ def test_rods_of_a_snake_are_a_side_of_their_square_apart(device) -> None:
     snake = ROBOTS.get("snakey")
     robot = replace(snake, collision=replace(snake.collision, between_links=True))
     controller = CONTROLLERS.get("no_control")
-    manager = EnvManager(
-        sim=SIMS.get("base_sim"), env=ENVIRONMENTS.get("empty_env"), robot=robot, controller=controller, num_envs=1,
-        device=device, seed=1,
-    )  # fmt: skip
+    manager = simulation(robot, controller, num_envs=1, device=device, seed=1)
     manager.reset()
     assert manager.gtd["robot_link_clearance"].item() == pytest.approx(1.0 - 2.0 * 0.02, abs=1e-5)
 

@@ -21,12 +21,12 @@ from aerial_gym.config.robot import InitialStateCfg, RobotCfg
 from aerial_gym.config.sensor import CameraCfg, LidarCfg, RangeSensorCfg
 from aerial_gym.config.sensor_mount import SensorMountCfg
 from aerial_gym.config.shape import ROBOT_ID
-from aerial_gym.control import CONTROLLERS
-from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import IMUS, RayCaster, make_images
 from aerial_gym.sensors.scan import group_ages
+from tests.builders import simulation
 
 DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
 HINGE, END, RADIUS = 0.1, 0.5, 0.05
@@ -66,10 +66,7 @@ def arm(axis: Sequence[float], angle: float, *, rate: float = 0.0, **changes: ob
 
 
 def build(robot: RobotCfg, device: torch.device, *, env: EnvironmentCfg | None = None, num_envs: int = 2) -> EnvManager:
-    manager = EnvManager(
-        sim=SIMS.get("base_sim"), env=env or ENVIRONMENTS.get("empty_env"), robot=robot,
-        controller=CONTROLLERS.get("no_control"), num_envs=num_envs, device=device, seed=1,
-    )  # fmt: skip
+    manager = simulation(robot, env=env or ENVIRONMENTS.get("empty_env"), num_envs=num_envs, device=device, seed=1)
     manager.reset()
     return manager
 

@@ -5,12 +5,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.controller import ControlCfg
 from aerial_gym.config.randomize import RandomizeCfg
-from aerial_gym.control import CONTROLLERS
-from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 from tests.physics.vehicles import F64
 
 
@@ -26,17 +24,15 @@ def test_a_longer_arm_tilts_only_an_autopilot_that_does_not_know_it(
     ``M = d T`` gives ``-K sin pitch = M = (d m g / 4) / (1 + d / (4 l))``. Known, it settles level."""
     ends = {"how": "offset", "low": (-0.015, 0.0, 0.0), "high": (0.015, 0.0, 0.0)}
     robot = replace(ROBOTS.get("base_quadrotor_doubled_inertia"), control=ControlCfg(effectiveness=effectiveness))
-    env = EnvManager(
-        sim=replace(SIMS.get("base_sim"), backend=backend),
-        env=ENVIRONMENTS.get("empty_env"),
-        robot=robot,
-        controller=CONTROLLERS.get("lee_attitude_control"),
+    env = simulation(
+        robot,
+        "lee_attitude_control",
         num_envs=5,
-        device=torch.device("cpu"),
         seed=1,
         randomize={"mounts.1.position": RandomizeCfg(**ends)},
         differentiable=backend == "torch",
         dtype=F64 if backend == "torch" else torch.float32,
+        backend=backend,
     )
     env.reset()
     with torch.no_grad():

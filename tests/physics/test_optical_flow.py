@@ -8,16 +8,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.assets import ENVIRONMENTS, Scene
+from aerial_gym.assets import Scene
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 from aerial_gym.config.sensor import CameraCfg, FisheyeCfg, LidarCfg, NoiseCfg, RangeSensorCfg, RayTableCfg, StereoCfg
-from aerial_gym.control import CONTROLLERS
-from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.quaternion import quat_exp, quat_from_euler, quat_multiply, quat_rotate, quat_rotate_inverse
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import SENSORS, RayCaster, SensorManager, make_images
+from tests.builders import simulation
 
 DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
 COMMON = {
@@ -263,14 +262,10 @@ def test_the_environment_gives_its_cameras_the_velocities_of_the_robot() -> None
     """A camera of a level robot that flies ahead at v and yaws at r about its origin: du = f r (1 + U²) + (u v + f r l) / Z
     at a depth Z, with the lever l = 0.1 m of the mount."""
     speed, rate = 1.5, 0.4
-    env = EnvManager(
-        sim=SIMS.get("base_sim"),
-        env=ENVIRONMENTS.get("env_with_obstacles"),
-        robot=replace(ROBOTS.get("base_quadrotor"), sensors=("base_optical_flow_camera",)),
-        controller=CONTROLLERS.get("lee_velocity_control"),
-        num_envs=2,
-        device=torch.device("cpu"),
-        seed=0,
+    env = simulation(
+        replace(ROBOTS.get("base_quadrotor"), sensors=("base_optical_flow_camera",)),
+        "lee_velocity_control",
+        env="env_with_obstacles",
     )
     env.reset()
     env.gtd["robot_orientation"].copy_(LEVEL)

@@ -457,13 +457,7 @@ def test_sensor_manager_declares_an_image_per_camera_and_writes_all(device: torc
     position, attitude = (t.to(device) for t in level(2))
     small = replace(CAMERA, width=8, height=6, segmentation=False, kind="depth")
     manager = SensorManager(
-        {"front": CAMERA, "small": small},
-        gtd,
-        scene,
-        position=position,
-        attitude=attitude,
-        num_envs=2,
-        device=device,
+        {"front": CAMERA, "small": small}, gtd, scene, position=position, attitude=attitude, num_envs=2, device=device
     )
     assert tuple(gtd) == ("depth_range_pixels", "segmentation_pixels", "small_depth_range_pixels")
     assert gtd["depth_range_pixels"].shape == (2, 1, CAMERA.height, CAMERA.width)

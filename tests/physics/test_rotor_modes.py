@@ -188,10 +188,7 @@ def test_a_reversible_quadrotor_hovers_upside_down() -> None:
 
 @pytest.mark.parametrize(
     ("name", "rotor", "words"),
-    [
-        ("translational_lift", REVERSIBLE, "reversible"),
-        ("axial_inflow", FORCE, "force mode"),
-    ],
+    [("translational_lift", REVERSIBLE, "reversible"), ("axial_inflow", FORCE, "force mode")],
 )
 def test_an_effect_refuses_rotors_by_name(name: str, rotor, words: str) -> None:
     """Where the robot is checked, and where a model is built of vehicle and effects."""

@@ -17,12 +17,12 @@ from aerial_gym.assets import PARKED_Z, CollisionTest, Scene
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, MotionCfg, PartCfg, ShapeCfg
 from aerial_gym.config.robot import CollisionCfg, SphereCfg
-from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.physics import Trajectory
 from aerial_gym.physics.integrators import MassState
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 
 K, DT = 10, 0.01
 PLATE = ShapeCfg(kind="box", size=(0.05, 2.0, 2.0))
@@ -72,14 +72,8 @@ def crowd(motion: MotionCfg, **fields) -> EnvironmentCfg:
 
 
 def build(env: EnvironmentCfg, num_envs: int, *, backend: str = "warp", num_others: int = 6) -> EnvManager:
-    made = EnvManager(
-        sim=replace(SIMS.get("base_sim"), backend=backend, dt=DT),
-        env=env,
-        robot=ROBOT,
-        controller=CONTROLLERS.get("no_control"),
-        num_envs=num_envs,
-        device=torch.device("cpu"),
-        seed=3,
+    made = simulation(
+        ROBOT, sim=replace(SIMS.get("base_sim"), backend=backend, dt=DT), env=env, num_envs=num_envs, seed=3
     )
     made.asset_manager.set_num_obstacles(num_others)  # of the crowd the seventh is parked
     made.reset()

@@ -13,10 +13,11 @@ from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, MotionCfg
 from aerial_gym.config.robot import InitialStateCfg
 from aerial_gym.config.shape import ShapeCfg
 from aerial_gym.control import CONTROLLERS, make_controller
-from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.physics import EFFECTS, TorchBackend, WarpBackend, build_model, vehicle_from_config
+from tests.builders import simulation
 from tests.physics.test_collision import make_scene
 from tests.physics.test_surfaces import MASS, K, at, gain, level_robot, push
 from tests.physics.vehicles import F64
@@ -110,10 +111,7 @@ def over_a_platform(backend: str, *, differentiable: bool = False, speed: float 
     layout = tuple(replace(m, position=corner) for m, corner in zip(robot.mounts.layout, corners, strict=True))
     robot = replace(robot, mounts=replace(robot.mounts, layout=layout))
     robot = replace(robot, effects={"ground_effect": {"k": 2.0}}, effects_source="test", initial_state=start)
-    return EnvManager(
-        sim=replace(SIMS.get("base_sim"), backend=backend), env=scene, robot=robot, num_envs=2, device=CPU, seed=0,
-        controller=CONTROLLERS.get("no_control"), differentiable=differentiable,
-    )  # fmt: skip
+    return simulation(robot, env=scene, differentiable=differentiable, backend=backend)
 
 
 @pytest.mark.parametrize("backend", ["torch", "warp"])

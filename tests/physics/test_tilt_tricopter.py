@@ -4,18 +4,16 @@ With a thrust T of the tail at the angle d, the torque k T of its rotor and the 
 pitch where each front rotor gives ``T (cos d + k sin d / L)``; the side force leans the vehicle.
 """
 
-from dataclasses import replace
 from math import atan, cos, pi, sin, tan
 
 import pytest
 import torch
 
-from aerial_gym.assets import ENVIRONMENTS
-from aerial_gym.control import CONTROLLERS
-from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.joints.tail_servo import tail_servo
+from tests.builders import simulation
 
 ARM, RATIO, GRAVITY = 0.2460732, 0.025, 9.81
 TRIM = atan(RATIO / ARM)
@@ -24,15 +22,7 @@ LEAN = -atan(sin(TRIM) / (3.0 * cos(TRIM) + 2.0 * RATIO * sin(TRIM) / ARM))
 
 
 def tricopters(controller: str, num_envs: int, backend: str = "auto") -> EnvManager:
-    env = EnvManager(
-        sim=replace(SIMS.get("base_sim"), backend=backend),
-        env=ENVIRONMENTS.get("empty_env"),
-        robot=ROBOTS.get("tilt_tricopter"),
-        controller=CONTROLLERS.get(controller),
-        num_envs=num_envs,
-        device=torch.device("cpu"),
-        seed=0,
-    )
+    env = simulation("tilt_tricopter", controller, num_envs=num_envs, backend=backend)
     env.reset()
     return env
 

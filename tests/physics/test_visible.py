@@ -15,13 +15,12 @@ from aerial_gym.config.loader import dump_yaml
 from aerial_gym.config.robot import CollisionCfg, RobotCfg, load_robot
 from aerial_gym.config.sensor import CameraCfg
 from aerial_gym.config.shape import GROUND_ID, ROBOT_ID
-from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import EnvManager
-from aerial_gym.env_manager.catalog import SIMS
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import RayCaster, SensorImages
+from tests.builders import simulation
 from tests.physics.test_ray_caster import CAMERA, exact_distance, pixel_rays, rotation
 
 DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
@@ -38,15 +37,7 @@ def device(request: pytest.FixtureRequest) -> torch.device:
 
 
 def build(robot: RobotCfg, env: EnvironmentCfg, device: torch.device, *, num_envs: int = 2) -> EnvManager:
-    manager = EnvManager(
-        sim=SIMS.get("base_sim"),
-        env=env,
-        robot=robot,
-        controller=CONTROLLERS.get("lee_velocity_control"),
-        num_envs=num_envs,
-        device=device,
-        seed=3,
-    )
+    manager = simulation(robot, "lee_velocity_control", env=env, num_envs=num_envs, device=device, seed=3)
     manager.reset()
     return manager
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import pytest
 import torch
 
-from aerial_gym import SimBuilder
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 from tests.physics.articulated.snakes import DAMPING, F64, Hover
 
 pytestmark = pytest.mark.slow
@@ -43,15 +43,7 @@ def fly(name: str, *, hold: bool = True) -> Flight:
     """Return a flight in which the drives are told what holds and folds, or the rate 0."""
     robot = ROBOTS.get(name)
     hover = Hover.of(robot)
-    env = SimBuilder().build_env(
-        sim_name="base_sim_2ms",
-        env_name="empty_env_2ms",
-        robot_name=robot,
-        controller_name="no_control",
-        num_envs=3,
-        device="cpu",
-        seed=1,
-    )
+    env = simulation(robot, sim="base_sim_2ms", env="empty_env_2ms", num_envs=3, seed=1)
     env.reset()
     pose = hover.articulation.reference.float()
     shift = torch.zeros(3, len(pose))

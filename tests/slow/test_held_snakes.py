@@ -11,9 +11,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from aerial_gym import SimBuilder
 from aerial_gym.env_manager import SIMS
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 
 pytestmark = pytest.mark.slow
 
@@ -25,14 +25,8 @@ def bending_time(name: str, dt: float, seconds: float = 5.0) -> float:
     """Return when a joint is off by more than ``BENT`` [s]; infinite where none is."""
     robot = ROBOTS.get(name)
     assert robot.joints is not None
-    env = SimBuilder().build_env(
-        sim_name=replace(SIMS.get("base_sim_2ms"), dt=dt),
-        env_name="empty_env_2ms",
-        robot_name=robot,
-        controller_name="lee_position_control",
-        num_envs=2,
-        device="cpu",
-        seed=1,
+    env = simulation(
+        robot, "lee_position_control", sim=replace(SIMS.get("base_sim_2ms"), dt=dt), env="empty_env_2ms", seed=1
     )
     env.reset()
     pose = torch.tensor([joint.reference for joint in robot.joints.layout])

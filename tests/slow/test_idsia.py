@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from aerial_gym import SimBuilder
 from aerial_gym.sim2real import close_loop
+from tests.builders import simulation
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "idsia_nanodrone"
 
@@ -56,13 +56,6 @@ def test_the_loop_names_flapping_and_takes_most_off_the_residuals(tmp_path: Path
         assert named["h_force_flapping"]["kh"] * HOVER_SUM + body[axis] == pytest.approx(0.0215, rel=0.15)
     for name in ("report.html", "report.md", "residuals.csv"):
         assert (out / name).stat().st_size > 1000
-    env = SimBuilder().build_env(
-        sim_name="base_sim",
-        env_name="empty_env",
-        robot_name=out / "robot.yaml",
-        controller_name="no_control",
-        num_envs=2,
-        device="cpu",
-    )
+    env = simulation(out / "robot.yaml")
     env.reset()
     assert env.gtd["effect_h_force_flapping"][0, 1] == pytest.approx(named["h_force_flapping"]["kf"], rel=1e-5)

@@ -19,10 +19,7 @@ from aerial_gym.robots import ROBOTS
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[mujoco]'")
 
-BODY = {
-    "body.mass": RandomizeCfg(low=0.8, high=1.2),
-    "body.inertia": RandomizeCfg(low=0.8, high=1.2),
-}
+BODY = {"body.mass": RandomizeCfg(low=0.8, high=1.2), "body.inertia": RandomizeCfg(low=0.8, high=1.2)}
 
 
 def build(backend: str, env="empty_env", **changes) -> EnvManager:

@@ -111,10 +111,7 @@ def test_a_run_is_neither_overwritten_nor_resumed_from_nothing(
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        (
-            ("--trainer", "rlgames"),
-            "no trainer 'rlgames'. Did you mean 'rl_games'? Known: apg, distill, ppo",
-        ),
+        (("--trainer", "rlgames"), "no trainer 'rlgames'. Did you mean 'rl_games'? Known: apg, distill, ppo"),
         (("--task", "hover"), "no task 'hover'"),
         (("--robot", "tinyprp"), "no robot 'tinyprp'"),
         (("--num-envs", "0"), "num_envs"),

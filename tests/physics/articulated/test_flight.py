@@ -9,7 +9,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import SimBuilder
 from aerial_gym.config.joint import CreepCfg, JointsCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
@@ -25,6 +24,7 @@ from aerial_gym.physics.state import BodyState, JointedState, state_at_rest
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real.teststand.joints.record import Release, joint_angle
+from tests.builders import simulation
 
 G = 9.81
 F64 = torch.float64
@@ -128,9 +128,7 @@ def stiffened(robot: RobotCfg, stiffness: float) -> RobotCfg:
     assert robot.joints is not None
     layout = tuple(
         replace(
-            joint,
-            drive=None,
-            spring=SpringCfg(stiffness=stiffness, damping=0.02 * stiffness, rest=joint.reference),
+            joint, drive=None, spring=SpringCfg(stiffness=stiffness, damping=0.02 * stiffness, rest=joint.reference)
         )
         for joint in robot.joints.layout
     )
@@ -163,15 +161,7 @@ def test_stiff_joints_are_the_rigid_vehicle_in_its_reference_pose() -> None:
 
 def test_morphy_hovers_on_arms_where_thrust_and_spring_balance() -> None:
     """``k2 (q - q0)² = T l + weight of the arm - what the spring holds of it at rest``, with the thrust T at the end."""
-    env = SimBuilder().build_env(
-        sim_name="base_sim_2ms",
-        env_name="empty_env_2ms",
-        robot_name="morphy",
-        controller_name="lee_position_control",
-        num_envs=2,
-        device="cpu",
-        seed=0,
-    )
+    env = simulation("morphy", "lee_position_control", sim="base_sim_2ms", env="empty_env_2ms")
     env.reset()
     for _ in range(400):
         env.step(torch.zeros(2, env.robot_manager.num_actions))
@@ -205,15 +195,7 @@ def test_an_arm_on_a_stand_falls_back_by_the_published_law() -> None:
 
 
 def build(robot: str | RobotCfg, *, sim: str | SimCfg = "base_sim_2ms") -> EnvManager:
-    return SimBuilder().build_env(
-        sim_name=sim,
-        env_name="empty_env_2ms",
-        robot_name=robot,
-        controller_name="no_control",
-        num_envs=3,
-        device="cpu",
-        seed=0,
-    )
+    return simulation(robot, sim=sim, env="empty_env_2ms", num_envs=3)
 
 
 def test_commands_of_drives_stand_behind_those_of_the_rotors() -> None:

@@ -6,11 +6,10 @@ from itertools import product
 import pytest
 import torch
 
-from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.joint import SpringCfg
-from aerial_gym.control import CONTROLLERS
-from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.env_manager import SIMS
 from aerial_gym.physics.articulated.joint_laws import STICK_RATE
+from tests.builders import simulation
 from tests.physics.test_links_seen import DOWN, LEFT, arm, bending
 from tests.repetitions import often
 
@@ -24,11 +23,12 @@ WEIGHT = 1e-3 * 9.81 * 0.05
 def course(axis: tuple[float, float, float], friction: float, rate: float, *, backend: str, dt: float, time: float):
     """Return angles and rates of the joint, (steps, 2)."""
     spring = SpringCfg(friction=friction)
-    manager = EnvManager(
-        sim=replace(SIMS.get("base_sim"), backend=backend, dt=dt), env=ENVIRONMENTS.get("empty_env"),
-        robot=bending(arm(axis, 0.0, rate=rate, spring=spring)), controller=CONTROLLERS.get("no_control"), num_envs=1,
-        device=torch.device("cpu"), seed=1,
-    )  # fmt: skip
+    manager = simulation(
+        bending(arm(axis, 0.0, rate=rate, spring=spring)),
+        sim=replace(SIMS.get("base_sim"), backend=backend, dt=dt),
+        num_envs=1,
+        seed=1,
+    )
     manager.reset()
     found = []
     for _ in range(round(time / dt)):

@@ -25,12 +25,7 @@ from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
 from tests.physics.articulated.lagrange import Energies, coordinates
-from tests.physics.articulated.test_link_buoyancy import (
-    crooked,
-    moving,
-    of_one_link,
-    under_water,
-)
+from tests.physics.articulated.test_link_buoyancy import crooked, moving, of_one_link, under_water
 from tests.physics.articulated.test_link_drag import fly, model_of
 from tests.physics.articulated.trees import F64, random_links, random_motion, random_tree
 

@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 import torch
 
-from aerial_gym import SimBuilder
 from aerial_gym.config.joint import DriveCfg, JointCfg, JointsCfg, LinkCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.articulated.articulation import articulation_of
 from aerial_gym.physics.model import check_effects
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 
 NOTHING = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
@@ -45,10 +45,7 @@ def test_a_joint_that_turns_no_inertia_is_refused(floating: bool) -> None:
     """The acceleration under an effort would be infinite; a drive or dry friction is at its limit then, and holds nothing."""
     drive = DriveCfg(mode="velocity", damping=0.1, limit=0.2, command_range=(-1.0, 1.0))
     rubs = SpringCfg(friction=0.1)
-    for joint in (
-        about_x("spin", link=wheel(0.0)),
-        about_x("spin", link=wheel(0.0), drive=drive, spring=rubs),
-    ):
+    for joint in (about_x("spin", link=wheel(0.0)), about_x("spin", link=wheel(0.0), drive=drive, spring=rubs)):
         with pytest.raises(ConfigError, match="robot: spin can move in the reference pose without moving any mass"):
             build(robot_of(joint, floating=floating))
 
@@ -120,12 +117,4 @@ def test_draws_must_leave_a_base_that_weighs_something(robot: str, drawn: str, r
     (tmp_path / "drawn.yaml").write_text(f"extends: {robot}\nrandomize:\n  {drawn}\n")
     outcome = pytest.raises(ConfigError, match=r"randomize: body\..* narrower ranges") if refused else nullcontext()
     with outcome:
-        SimBuilder().build_env(
-            sim_name="base_sim_2ms",
-            env_name="empty_env_2ms",
-            robot_name=str(tmp_path / "drawn.yaml"),
-            controller_name="no_control",
-            num_envs=2,
-            device="cpu",
-            backend="torch",
-        )
+        simulation(str(tmp_path / "drawn.yaml"), sim="base_sim_2ms", env="empty_env_2ms", backend="torch")

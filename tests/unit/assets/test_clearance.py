@@ -6,7 +6,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import SimBuilder
 from aerial_gym.assets import ENVIRONMENTS, PARKED_Z, AssetManager, CollisionTest
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, FamilyCfg, ShapeCfg
 from aerial_gym.config.robot import SphereCfg
@@ -14,21 +13,14 @@ from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary
+from tests.builders import simulation
 
 ROUNDING = 2e-6
 """Of distances below 20 m in float32 [m]."""
 
 
 def simulate(env_name: str, num_envs: int, seed: int = 0) -> EnvManager:
-    return SimBuilder().build_env(
-        sim_name="base_sim",
-        env_name=env_name,
-        robot_name="base_quadrotor",
-        controller_name="lee_velocity_control",
-        num_envs=num_envs,
-        device="cpu",
-        seed=seed,
-    )
+    return simulation("base_quadrotor", "lee_velocity_control", env=env_name, num_envs=num_envs, seed=seed)
 
 
 def manager(assets: tuple[AssetCfg, ...], num_envs: int, *, clearance: float = 0.5) -> AssetManager:

@@ -7,7 +7,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import SimBuilder
 from aerial_gym.assets import PARKED_Z, AssetManager
 from aerial_gym.config import build
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, MotionCfg, ShapeCfg
@@ -16,6 +15,7 @@ from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.quaternion import quat_exp, quat_multiply
 from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary
+from tests.builders import simulation
 
 BALL = AssetCfg(
     name="ball",
@@ -223,15 +223,7 @@ def test_draws_depend_on_seed_environment_and_episode_alone() -> None:
 
 
 def simulate(env_name: str, num_envs: int = 4, *, robot_name: str = "base_quadrotor") -> EnvManager:
-    env = SimBuilder().build_env(
-        sim_name="base_sim",
-        env_name=env_name,
-        robot_name=robot_name,
-        controller_name="lee_velocity_control",
-        num_envs=num_envs,
-        device="cpu",
-        seed=0,
-    )
+    env = simulation(robot_name, "lee_velocity_control", env=env_name, num_envs=num_envs)
     env.reset()
     return env
 

@@ -7,13 +7,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import SimBuilder
 from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.track import GatePlaceCfg, LayoutCfg, TrackCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler, quat_rotate
+from tests.builders import simulation
 
 ROUNDING = 1e-5
 PLACES = ("gate_position", "gate_orientation", "pole_position")
@@ -21,13 +21,12 @@ NOMINAL = ("gate_nominal_position", "gate_nominal_orientation", "pole_nominal_po
 
 
 def simulate(env: str | EnvironmentCfg, num_envs: int, *, seed: int = 0, first_env: int = 0) -> EnvManager:
-    return SimBuilder().build_env(
-        sim_name="base_sim_2ms",
-        env_name=env,
-        robot_name="crazyflie_21_brushless_racing",
-        controller_name="lee_attitude_control",
+    return simulation(
+        "crazyflie_21_brushless_racing",
+        "lee_attitude_control",
+        sim="base_sim_2ms",
+        env=env,
         num_envs=num_envs,
-        device="cpu",
         seed=seed,
         first_env=first_env,
     )

@@ -12,15 +12,7 @@ from aerial_gym.config import files_of
 from aerial_gym.rl_training.policies.body import BodyCfg
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.task.terms.observations import OBSERVATIONS
-from benchmarks.story.flying import (
-    CONTROL_RATE,
-    SETPOINTS,
-    STAY_S,
-    PolicyPilot,
-    fly_setpoints,
-    setpoints,
-    tracking,
-)
+from benchmarks.story.flying import CONTROL_RATE, SETPOINTS, STAY_S, PolicyPilot, fly_setpoints, setpoints, tracking
 from benchmarks.story.story import ROBOT, TASK
 from benchmarks.story.vehicle import HIDDEN, declared_vehicle, true_vehicle
 from benchmarks.undeclared.nuisance import NO_BIAS

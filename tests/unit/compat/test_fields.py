@@ -254,8 +254,7 @@ def test_units_of_the_motor_model() -> None:
     low, high = 1.0e-5, 1.752e-5
     motor = "control_allocator_config.motor_model_config"
     cls = derived_class(
-        robots.BaseQuadCfg,
-        {f"{motor}.motor_thrust_constant_min": low, f"{motor}.motor_thrust_constant_max": high},
+        robots.BaseQuadCfg, {f"{motor}.motor_thrust_constant_min": low, f"{motor}.motor_thrust_constant_max": high}
     )
     assert robots.robot_of(cls).rotor_types[0].thrust_map == pytest.approx((0.0, 0.0, 1.376e-5 / 39.47841760435743))
 

@@ -9,10 +9,10 @@ from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config import build, load
 from aerial_gym.config.robot import BodyCfg, RobotCfg
 from aerial_gym.config.sim import SimCfg
-from aerial_gym.env_manager import SimBuilder
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
+from tests.builders import simulation
 
 SIM = "summary: s\ndt: {}\nsubsteps: 1\n"
 
@@ -68,14 +68,7 @@ def test_extreme_robots_are_refused_by_name(part: str, changes: dict[str, object
     robot = replace(robot, **{part: replace(getattr(robot, part), **changes)})
     assert isinstance(robot, RobotCfg)
     with pytest.raises(ConfigError, match=message):
-        SimBuilder().build_env(
-            sim_name="base_sim",
-            env_name="empty_env",
-            robot_name=robot,
-            controller_name="lee_position_control",
-            num_envs=2,
-            device="cpu",
-        )
+        simulation(robot, "lee_position_control")
 
 
 def test_a_companion_is_a_name_beside_the_log() -> None:

@@ -44,11 +44,7 @@ def with_a_pusher() -> RobotCfg:
     return replace(base, rotor=rotor, mounts=replace(base.mounts, layout=(*base.mounts.layout, pusher)))
 
 
-VEHICLES = {
-    "quadrotor": ROBOTS.get("tinyprop"),
-    "hexarotor": hexarotor(),
-    "pusher": with_a_pusher(),
-}
+VEHICLES = {"quadrotor": ROBOTS.get("tinyprop"), "hexarotor": hexarotor(), "pusher": with_a_pusher()}
 
 
 def allocation_of(robot: RobotCfg, num_envs: int, dtype: torch.dtype = F64) -> Allocation:

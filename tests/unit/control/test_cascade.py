@@ -233,12 +233,7 @@ TUNED = BetaflightCfg(
 """Every part of Betaflight's rate loop."""
 
 EVERY_MELLINGER = MellingerCfg(
-    massThrust=15000.0,
-    ki_m_xy=40.0,
-    ki_m_z=500.0,
-    i_range_m_xy=0.02,
-    kd_omega_rp=3.0,
-    i_range_z=0.01,
+    massThrust=15000.0, ki_m_xy=40.0, ki_m_z=500.0, i_range_m_xy=0.02, kd_omega_rp=3.0, i_range_z=0.01
 )
 EVERY_PID = CrazyfliePidCfg(
     rate_hz=250.0, position_ki=(0.1, 0.2, 0.5), attitude_ki=(3.0, 3.0, 1.0), attitude_kd=(0.01, 0.0, 0.35),

@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 import torch
 
-from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.controller import ControlCfg, ControllerCfg, RateLoopCfg
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop, linear_loop, make_controller
 from aerial_gym.control.catalog import AERIAL_GYM_GAINS
 from aerial_gym.control.stability import ClosedLoop, largest_stable_dt
-from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.env_manager import SIMS
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS, TorchBackend, build_model, state_at_rest, vehicle_from_config
 from aerial_gym.physics.law_memory import law_command
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 
 OWN_GAINS = [name for name in CONTROLLERS.names() if CONTROLLERS.get(name).gains is None]
 LAWS = [name for name in OWN_GAINS if CONTROLLERS.get(name).law not in ("thrust", "rotor_speed", "pose")]
@@ -236,12 +236,4 @@ def test_a_robot_that_cannot_hover_is_refused() -> None:
 def test_a_simulation_is_refused_when_it_is_built() -> None:
     robot = replace(ROBOTS.get("base_quadrotor"), control=ControlCfg(attitude_frequency=(80.0, 80.0, 2.0)))
     with pytest.raises(ConfigError, match=r"robot '0.25 kg.*' with controller 'lee_velocity_control' at dt = 0.01 s"):
-        EnvManager(
-            sim=SIMS.get("base_sim"),
-            env=ENVIRONMENTS.get("empty_env"),
-            robot=robot,
-            controller=CONTROLLERS.get("lee_velocity_control"),
-            num_envs=1,
-            device=torch.device("cpu"),
-            seed=0,
-        )
+        simulation(robot, "lee_velocity_control", num_envs=1)

@@ -7,7 +7,6 @@ from math import pi, radians
 import pytest
 import torch
 
-from aerial_gym import SimBuilder
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
@@ -20,6 +19,7 @@ from aerial_gym.physics.integrators import INTEGRATORS, to_body_state, to_mass_s
 from aerial_gym.physics.law_memory import fresh_law_memory, law_command
 from aerial_gym.physics.model import build_model
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 
 F64 = torch.float64
 CRAZYFLIE = ROBOTS.get("crazyflie_21")
@@ -156,10 +156,7 @@ def test_only_attitudes_beyond_a_right_angle_are_looked_at() -> None:
 
 def test_an_environment_refuses_such_a_start() -> None:
     def build(controller: str) -> None:
-        SimBuilder().build_env(
-            sim_name="base_sim", env_name="empty_env", robot_name=from_angles(-180.0, 180.0, ang_vel=0.2),
-            controller_name=controller, num_envs=2, device="cpu", seed=0,
-        )  # fmt: skip
+        simulation(from_angles(-180.0, 180.0, ang_vel=0.2), controller)
 
     with pytest.raises(ConfigError, match="euler_low"):
         build("crazyflie_mellinger_control")

@@ -1,19 +1,16 @@
 """An environment is the same alone, among 4 and among 37, bit for bit: nothing that is drawn or flown looks at a neighbour."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import SimBuilder, task_registry
-from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym import task_registry
 from aerial_gym.config.randomize import RandomizeCfg
-from aerial_gym.control import CONTROLLERS
-from aerial_gym.env_manager import SIMS, EnvManager
-from aerial_gym.robots import ROBOTS
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.task import Task
+from tests.builders import simulation
 from tests.repetitions import often
 
 FEW, MANY = 4, 37
@@ -34,15 +31,14 @@ RANDOMIZE = {
 def build(
     env: str, robot: str, num_envs: int, *, backend: str = "warp", seed: int = 5, randomize=None, **numbers: int
 ) -> EnvManager:
-    return EnvManager(
-        sim=replace(SIMS.get("base_sim"), backend=backend),
-        env=ENVIRONMENTS.get(env),
-        robot=ROBOTS.get(robot),
-        controller=CONTROLLERS.get("lee_velocity_control"),
+    return simulation(
+        robot,
+        "lee_velocity_control",
+        env=env,
         num_envs=num_envs,
-        device=torch.device("cpu"),
         seed=seed,
         randomize=randomize,
+        backend=backend,
         **numbers,
     )
 
@@ -178,11 +174,7 @@ def roll_out(task: Task, first: int = 0, steps: int = 4) -> list[dict[str, Tenso
 AS_USERS_HAVE_THEM = ("agile_tracking_task", "gust_rejection_task", "motor_failure_task", "racing_task")
 """Those whose kernels are optimised."""
 
-OFTEN = (
-    "motor_failure_task",
-    "navigation_task",
-    "position_setpoint_task_morphy",
-)
+OFTEN = ("motor_failure_task", "navigation_task", "position_setpoint_task_morphy")
 """Of each kind one, of which the others have other numbers, or fewer parts; races are in ``task/commands/test_track.py``."""
 
 
@@ -219,14 +211,7 @@ def test_a_seed_given_to_a_reset_makes_a_new_task() -> None:
 
 
 def test_environments_of_one_batch_differ() -> None:
-    env = SimBuilder().build_env(
-        sim_name="base_sim",
-        env_name="env_with_obstacles",
-        robot_name="base_quadrotor",
-        controller_name="lee_velocity_control",
-        num_envs=FEW,
-        device="cpu",
-    )
+    env = simulation("base_quadrotor", "lee_velocity_control", env="env_with_obstacles", num_envs=FEW)
     env.reset()
     for key in ("robot_position", "env_bounds_min", "obstacle_position"):
         rows = env.gtd[key].flatten(1)

@@ -21,12 +21,7 @@ def build(controller: str = "lee_attitude_control", **options) -> EnvManager:
     """Return a simulation with gradients in float64, reset."""
     chosen = {"env_name": "empty_env", "robot_name": "base_quadrotor", "dtype": F64, "differentiable": True, **options}
     env = SimBuilder().build_env(
-        sim_name="base_sim",
-        controller_name=controller,
-        num_envs=NUM_ENVS,
-        device="cpu",
-        seed=3,
-        **chosen,
+        sim_name="base_sim", controller_name=controller, num_envs=NUM_ENVS, device="cpu", seed=3, **chosen
     )
     env.reset()
     return env

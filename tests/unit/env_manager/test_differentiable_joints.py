@@ -6,9 +6,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import ENVIRONMENTS, EnvManager, SimBuilder
+from aerial_gym import ENVIRONMENTS, EnvManager
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 from tests.unit.env_manager.test_differentiable import flown
 
 F64 = torch.float64
@@ -23,13 +24,11 @@ JOINTS = ("dof_position", "dof_velocity", "dof_state_tensor")
 def build(robot: RobotCfg | str, **options) -> EnvManager:
     """Return a simulation with gradients in float64, two substeps a step, reset."""
     chosen = {"dtype": F64, "differentiable": True, **options}
-    env = SimBuilder().build_env(
-        sim_name="base_sim_2ms",
-        env_name=replace(ENVIRONMENTS.get("empty_env_2ms"), physics_steps_per_env_step=2),
-        robot_name=robot,
-        controller_name="no_control",
+    env = simulation(
+        robot,
+        sim="base_sim_2ms",
+        env=replace(ENVIRONMENTS.get("empty_env_2ms"), physics_steps_per_env_step=2),
         num_envs=NUM_ENVS,
-        device="cpu",
         seed=3,
         **chosen,
     )

@@ -12,6 +12,7 @@ from aerial_gym.config.environment import AssetCfg, ShapeCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError, ShapeError, UnknownNameError
 from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate_inverse
+from tests.builders import simulation
 from tests.repetitions import often
 
 
@@ -123,20 +124,10 @@ def test_flying_into_a_wall_is_a_crash_and_clearance_tells_how_far() -> None:
 def test_effect_parameters_written_to_the_gtd_change_the_flight() -> None:
     from dataclasses import replace
 
-    from aerial_gym.control import CONTROLLERS
-    from aerial_gym.env_manager import SIMS
     from aerial_gym.robots import ROBOTS
 
     robot = replace(ROBOTS.get("tinyprop"), effects={"rotor_drag": {"dx": 0.0, "dy": 0.0, "dz": 0.0}})
-    env = EnvManager(
-        sim=SIMS.get("base_sim"),
-        env=ENVIRONMENTS.get("empty_env"),
-        robot=robot,
-        controller=CONTROLLERS.get("no_control"),
-        num_envs=2,
-        device=torch.device("cpu"),
-        seed=0,
-    )
+    env = simulation(robot)
     env.reset()
     for tensor in env.robot_manager.tensors.state.tensors():
         tensor.copy_(tensor[:1].expand_as(tensor))
@@ -157,14 +148,7 @@ def test_wrong_requests_are_refused_by_name() -> None:
     with pytest.raises(ConfigError, match="num_envs = 0: must be at least 1"):
         build(0)
     with pytest.raises(ConfigError, match="device 'gpu': must be auto, cpu, cuda or cuda:N"):
-        SimBuilder().build_env(
-            sim_name="base_sim",
-            env_name="empty_env",
-            robot_name="base_quadrotor",
-            controller_name="no_control",
-            num_envs=1,
-            device="gpu",
-        )
+        simulation("base_quadrotor", num_envs=1, device="gpu")
     env = build()
     env.reset()
     with pytest.raises(ShapeError, match=r"actions has shape \(4, 3\), expected \(E, U\) = \(4, 4\): vx \[m/s\]"):
@@ -173,15 +157,7 @@ def test_wrong_requests_are_refused_by_name() -> None:
 
 def test_a_device_without_a_number_is_the_first_one_or_refused_by_name() -> None:
     def made() -> EnvManager:
-        return EnvManager(
-            sim=SIMS.get("base_sim"),
-            env=ENVIRONMENTS.get("empty_env"),
-            robot=ROBOTS.get("base_quadrotor"),
-            controller=CONTROLLERS.get("no_control"),
-            num_envs=2,
-            device=torch.device("cuda"),
-            seed=0,
-        )
+        return simulation("base_quadrotor", device=torch.device("cuda"))
 
     if torch.cuda.is_available():
         assert made().device == torch.device("cuda:0")
@@ -194,15 +170,7 @@ def test_an_imu_on_board_measures_gravity_in_hover_and_nothing_else_moves() -> N
     """Level in hover it reads g up within bias and noise (1e-3 + 6 x 1.7e-3 x 10); in free fall it reads zero."""
     readings = {}
     for thrust in (0.0, -1.0):
-        env = SimBuilder().build_env(
-            sim_name="base_sim",
-            env_name="empty_env",
-            robot_name="base_quadrotor_with_imu",
-            controller_name="lee_rates_control",
-            num_envs=8,
-            device="cpu",
-            seed=1,
-        )
+        env = simulation("base_quadrotor_with_imu", "lee_rates_control", num_envs=8, seed=1)
         env.reset()
         env.gtd["robot_linvel"].zero_()
         env.gtd["robot_body_angvel"].zero_()

@@ -5,11 +5,10 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.sensor_mount import SensorMountCfg
-from aerial_gym.control import CONTROLLERS
-from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 
 E = 3
 
@@ -21,14 +20,8 @@ def build() -> EnvManager:
         SensorMountCfg(sensor="st_vl53l5cx", name="slow", rate_hz=4.0),
         SensorMountCfg(sensor="st_vl53l5cx", name="plain"),
     )
-    return EnvManager(
-        sim=SIMS.get("base_sim"),
-        env=ENVIRONMENTS.get("dynamic_env"),
-        robot=replace(ROBOTS.get("tinyprop"), sensors=sensors),
-        controller=CONTROLLERS.get("lee_velocity_control"),
-        num_envs=E,
-        device=torch.device("cpu"),
-        seed=1,
+    return simulation(
+        replace(ROBOTS.get("tinyprop"), sensors=sensors), "lee_velocity_control", env="dynamic_env", num_envs=E, seed=1
     )
 
 

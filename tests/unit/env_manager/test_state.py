@@ -8,16 +8,15 @@ import torch
 from torch import Tensor
 
 from aerial_gym import task_registry
-from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import BatteryCfg
 from aerial_gym.config.sensor_mount import SensorMountCfg
-from aerial_gym.control import CONTROLLERS
-from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import Task
+from tests.builders import simulation
 
 E = 3
 BATTERY = BatteryCfg(
@@ -45,15 +44,14 @@ def rich(backend: str = "warp", *, env: str = "dynamic_env", seed: int = 1, num_
         SensorMountCfg(sensor="st_vl53l5cx", name="eye", rate_hz=6.0, latency_s=0.1),
         SensorMountCfg(sensor="bmi088", name="inner", rate_hz=5.0, latency_s=0.1),
     )
-    built = EnvManager(
-        sim=replace(SIMS.get("base_sim"), backend=backend),
-        env=ENVIRONMENTS.get(env),
-        robot=replace(robot, effects=effects, effects_source="test", battery=BATTERY, sensors=sensors),
-        controller=CONTROLLERS.get("lee_velocity_control"),
+    built = simulation(
+        replace(robot, effects=effects, effects_source="test", battery=BATTERY, sensors=sensors),
+        "lee_velocity_control",
+        env=env,
         num_envs=num_envs,
-        device=torch.device("cpu"),
         seed=seed,
         randomize=RANDOMIZE | changes,
+        backend=backend,
     )
     built.reset()
     return built

@@ -8,13 +8,13 @@ import torch
 
 from aerial_gym.assets.catalog import ENVIRONMENTS
 from aerial_gym.config.task_terms import ActionCfg
-from aerial_gym.env_manager import SimBuilder
 from aerial_gym.export.layout import Layout, layout_of
 from aerial_gym.rl_training.policies.body import BodyCfg
 from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.settings import TrainingCfg, load_settings, settings_for
 from aerial_gym.task import Task, task_registry
+from tests.builders import simulation
 from tests.unit.task.hover import built
 
 HOVER = task_registry.get("position_setpoint_task")
@@ -116,19 +116,15 @@ def hover(rate_hz: int, *, delay: int = 0, noise: float = 0.0, num_envs: int = 1
     """Return the position task at a rate on a simulation of 500 Hz, commands late by so many steps, all it sees noisy."""
     seen = tuple(replace(entry, noise_std=noise) for entry in HOVER.observations["policy"])
     cfg = replace(
-        HOVER,
-        observations={"policy": seen},
-        action=ActionCfg(delay_steps=delay),
-        episode_len_steps=3 * rate_hz,
+        HOVER, observations={"policy": seen}, action=ActionCfg(delay_steps=delay), episode_len_steps=3 * rate_hz
     )
-    env = SimBuilder().build_env(
-        sim_name="base_sim_2ms",
-        env_name=replace(ENVIRONMENTS.get("empty_env"), physics_steps_per_env_step=500 // rate_hz),
-        robot_name=cfg.robot,
-        controller_name=cfg.controller,
+    env = simulation(
+        cfg.robot,
+        cfg.controller,
+        sim="base_sim_2ms",
+        env=replace(ENVIRONMENTS.get("empty_env"), physics_steps_per_env_step=500 // rate_hz),
         num_envs=num_envs,
         seed=5,
-        device="cpu",
     )
     return Task(cfg, env)
 

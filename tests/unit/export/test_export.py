@@ -17,15 +17,7 @@ from aerial_gym.export.pilot import load_exported
 from aerial_gym.rl_training.evaluation import evaluate
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import ACTIONS, task_registry
-from tests.unit.export.policies import (
-    HOVER,
-    TRANSFORMS,
-    drawn_policy,
-    hover,
-    hovering_policy,
-    layout,
-    training,
-)
+from tests.unit.export.policies import HOVER, TRANSFORMS, drawn_policy, hover, hovering_policy, layout, training
 from tests.unit.task.hover import built
 
 COMPILER = pytest.mark.skipif(which("gcc") is None and which("cc") is None, reason="needs a C compiler")

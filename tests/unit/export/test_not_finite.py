@@ -75,8 +75,7 @@ def test_every_transform(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("activation", "memory", "name"),
-    [("relu", 5, "forward_flight"), ("elu", 0, "four_places"), ("tanh", 0, "affine")],
+    ("activation", "memory", "name"), [("relu", 5, "forward_flight"), ("elu", 0, "four_places"), ("tanh", 0, "affine")]
 )
 def test_onnx(activation: str, memory: int, name: str, tmp_path: Path) -> None:
     """Each comparison of an ONNX file asks the same (``test_export.py``); here entry by entry, against torch."""

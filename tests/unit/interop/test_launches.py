@@ -10,9 +10,9 @@ import pytest
 import torch
 import warp as wp
 
-from aerial_gym.env_manager import SimBuilder
 from aerial_gym.interop import RecordedLaunch, compile_ahead, launches, start_warp
 from aerial_gym.interop.rows import RowFunction
+from tests.builders import simulation
 from tests.conftest import COMPILING_THREADS
 
 
@@ -111,15 +111,7 @@ def test_a_forked_process_compiles_with_workers_of_its_own(cpu: wp.Device) -> No
 
 def test_what_an_empty_environment_does_not_need_is_not_compiled(idle: wp.Device) -> None:
     """No obstacle is placed there and nothing can be touched: each of the two takes half a second or more to compile."""
-    env = SimBuilder().build_env(
-        sim_name="base_sim",
-        env_name="empty_env",
-        robot_name="base_quadrotor",
-        controller_name="lee_velocity_control",
-        num_envs=2,
-        device="cpu",
-        seed=0,
-    )
+    env = simulation("base_quadrotor", "lee_velocity_control")
     env.reset()
     env.step(torch.zeros(2, 4))
     assert env.gtd["robot_clearance"].tolist() == [inf, inf]
@@ -130,15 +122,7 @@ def test_what_an_empty_environment_does_not_need_is_not_compiled(idle: wp.Device
 
 def test_everything_is_compiled_with_the_same_flags(idle: wp.Device) -> None:
     """Warp precompiles its headers for every set of flags anew, which takes longer than most kernels."""
-    SimBuilder().build_env(
-        sim_name="base_sim",
-        env_name="env_with_obstacles",
-        robot_name="base_quadrotor_with_camera",
-        controller_name="lee_velocity_control",
-        num_envs=2,
-        device="cpu",
-        seed=0,
-    )
+    simulation("base_quadrotor_with_camera", "lee_velocity_control", env="env_with_obstacles")
     modules = [module for module, *_ in launches._begun]
     assert len(modules) >= 8
     assert len({module.options["cpu_compiler_flags"] for module in modules}) == 1

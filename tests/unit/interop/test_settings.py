@@ -19,6 +19,7 @@ from aerial_gym.rl_training.encoder.training import train_encoder
 from aerial_gym.sensors import Imu, RayCaster
 from aerial_gym.sensors.encoder.file import load_encoder
 from aerial_gym.task.task import Task
+from tests.builders import simulation
 
 
 @contextmanager
@@ -80,10 +81,7 @@ def test_settings_are_usual_inside_and_the_callers_outside() -> None:
 
 def flown(robot: str, controller: str, env: str, backend: str, device: str = "cpu") -> dict[str, Tensor]:
     """Return the content of the GTD after three steps and a look."""
-    sim = SimBuilder().build_env(
-        sim_name="base_sim", env_name=env, robot_name=robot, controller_name=controller, num_envs=2, device=device,
-        seed=0, backend=backend,
-    )  # fmt: skip
+    sim = simulation(robot, controller, env=env, device=device, backend=backend)
     sim.reset()
     for _ in range(3):
         sim.step(torch.zeros(2, sim.robot_manager.num_actions, device="cpu"))

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import torch
 
-from aerial_gym import SimBuilder
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.physics import BodyState, TorchBackend, WarpBackend, build_model, vehicle_from_config
 from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 from tests.physics.vehicles import random_state
 
 ENVS, DT = 8, 0.004
@@ -18,13 +18,9 @@ ENVS, DT = 8, 0.004
 def test_what_follows_from_other_numbers_takes_no_rows() -> None:
     """Mass 1, inertia and its inverse 6 each, squares of thrust and torque 4 each, lags 4, as they rise so they fall."""
     drawn = RandomizeCfg(each_rotor=True, low=0.9, high=1.1)
-    env = SimBuilder().build_env(
-        sim_name="base_sim",
-        env_name="empty_env",
-        robot_name="base_quadrotor",
-        controller_name="lee_velocity_control",
-        num_envs=2,
-        device="cpu",
+    env = simulation(
+        "base_quadrotor",
+        "lee_velocity_control",
         randomize={
             "body.mass": RandomizeCfg(low=0.9, high=1.1),
             "rotor.thrust_map": drawn,

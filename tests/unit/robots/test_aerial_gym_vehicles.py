@@ -6,12 +6,12 @@ from math import pi
 import pytest
 import torch
 
-from aerial_gym import SimBuilder
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control.allocation import allocation_matrix
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 
 
 @pytest.mark.parametrize(
@@ -40,14 +40,7 @@ def test_each_rotor_of_lmf1_turns_it_as_px4_says() -> None:
     matrix = allocation_matrix(vehicle_from_config(ROBOTS.get("lmf1"), num_envs=1, dtype=torch.float64), 9.81)[0, 3:]
     by_hand = torch.tensor([[-0.1, -0.1, -0.05], [0.1, 0.1, -0.05], [0.1, -0.1, 0.05], [-0.1, 0.1, 0.05]])
     torch.testing.assert_close(matrix.T, by_hand.double())
-    env = SimBuilder().build_env(
-        sim_name="base_sim",
-        env_name="empty_env",
-        robot_name="lmf1",
-        controller_name="no_control",
-        device="cpu",
-        num_envs=4,
-    )
+    env = simulation("lmf1", num_envs=4)
     env.reset()
     env.robot_manager.tensors.state.ang_vel.zero_()
     for _ in range(5):

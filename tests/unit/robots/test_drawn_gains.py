@@ -5,25 +5,22 @@ from dataclasses import replace
 import pytest
 import torch
 
-from aerial_gym import SimBuilder
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import InitialStateCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 
 STILL = {f"{name}_{end}": (0.0, 0.0, 0.0) for name in ("euler", "lin_vel", "ang_vel") for end in ("low", "high")}
 
 
 def make(randomize: dict[str, RandomizeCfg], backend: str = "warp") -> EnvManager:
     """Return six vehicles that start alike."""
-    env = SimBuilder().build_env(
-        sim_name="base_sim",
-        env_name="empty_env",
-        robot_name=replace(ROBOTS.get("base_quadrotor"), initial_state=InitialStateCfg(**STILL)),
-        controller_name="pid_velocity_control",
+    env = simulation(
+        replace(ROBOTS.get("base_quadrotor"), initial_state=InitialStateCfg(**STILL)),
+        "pid_velocity_control",
         num_envs=6,
-        device="cpu",
         seed=4,
         backend=backend,
         randomize=randomize,

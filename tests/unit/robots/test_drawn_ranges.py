@@ -6,14 +6,13 @@ from math import isclose
 import pytest
 import torch
 
-from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.control import CONTROLLERS, LeeController, make_controller
 from aerial_gym.control.stability import Hover
-from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.drawn_ranges import hovers_at_ends, report_drawn_ranges
+from tests.builders import simulation
 
 GRAVITY, DT = 9.81, 0.01
 AT = {"gravity": GRAVITY, "dt": DT, "integrator": "euler", "names": ("robot", "law")}
@@ -63,15 +62,7 @@ def test_rotors_that_are_drawn_apart_have_an_end_that_differs() -> None:
 def test_a_simulation_of_ranges_that_are_not_followed_warns(caplog: pytest.LogCaptureFixture) -> None:
     """Thrust from 0.35 to 2.1 times the declared: some of these vehicles sank by 70 m in 10 s."""
     with caplog.at_level(logging.WARNING):
-        EnvManager(
-            sim=SIMS.get("base_sim"),
-            env=ENVIRONMENTS.get("empty_env"),
-            robot=ROBOTS.get("sampled_quadrotor"),
-            controller=LEE,
-            num_envs=1,
-            device=torch.device("cpu"),
-            seed=0,
-        )
+        simulation("sampled_quadrotor", LEE, num_envs=1)
     (record,) = [each for each in caplog.records if "drawn_ranges" in each.name]
     assert "rotor.thrust_map = 0.353" in record.getMessage()
 

@@ -9,15 +9,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.controller import ControlCfg
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.control.effectiveness import actuation_of, allocation_matrix
-from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 from tests.physics.mixed_rotors import mixed_robot
 
 QUAD = ROBOTS.get("base_quadrotor")
@@ -47,15 +47,13 @@ def make(
     allocation: str = "prioritised",
     **options,
 ) -> EnvManager:
-    env = EnvManager(
-        sim=replace(SIMS.get("base_sim"), backend=backend),
-        env=ENVIRONMENTS.get("empty_env"),
-        robot=replace(robot, control=ControlCfg(effectiveness=effectiveness)),
-        controller=replace(CONTROLLERS.get(controller), allocation=allocation),
+    env = simulation(
+        replace(robot, control=ControlCfg(effectiveness=effectiveness)),
+        replace(CONTROLLERS.get(controller), allocation=allocation),
         num_envs=num_envs,
-        device=torch.device("cpu"),
         seed=4,
         randomize=randomize,
+        backend=backend,
         **options,
     )
     env.reset()

@@ -3,17 +3,14 @@
 import pytest
 import torch
 
-from aerial_gym.env_manager import SimBuilder
 from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 
 
 def land(robot: str, backend: str) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return tilt [rad], speeds of body and turning after 4 s of a robot that comes down at 0.3 m/s ahead, a little tilted."""
-    env = SimBuilder().build_env(
-        sim_name="base_sim", env_name="landing_env", robot_name=robot, controller_name="no_control", num_envs=2,
-        device="cpu", backend=backend,
-    )  # fmt: skip
+    env = simulation(robot, env="landing_env", backend=backend)
     env.reset()
     gtd, low = env.gtd, 0.02 if robot.startswith("crazyflie") else 0.22
     gtd["robot_position"].copy_(torch.tensor([0.0, 0.0, low + 0.02]).expand(2, 3))

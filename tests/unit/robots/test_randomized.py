@@ -14,11 +14,11 @@ from aerial_gym.config import dump_yaml, load
 from aerial_gym.config.loader import build as from_mapping
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import BatteryCfg, RobotCfg
-from aerial_gym.control import CONTROLLERS
-from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.quantities import second_moments_scaled
+from tests.builders import simulation
 
 QUAD = ROBOTS.get("base_quadrotor")
 CELL = BatteryCfg(
@@ -46,16 +46,8 @@ def make(
     robot: RobotCfg = QUAD,
     **numbers: int,
 ) -> EnvManager:
-    env = EnvManager(
-        sim=replace(SIMS.get("base_sim"), backend=backend),
-        env=ENVIRONMENTS.get("empty_env"),
-        robot=robot,
-        controller=CONTROLLERS.get("lee_velocity_control"),
-        num_envs=num_envs,
-        device=torch.device("cpu"),
-        seed=4,
-        randomize=randomize,
-        **numbers,
+    env = simulation(
+        robot, "lee_velocity_control", num_envs=num_envs, seed=4, randomize=randomize, backend=backend, **numbers
     )
     env.reset()
     return env
@@ -168,10 +160,7 @@ def test_it_flies_as_the_robot_whose_file_says_the_drawn_numbers(many: EnvManage
     """The rotors are driven directly, as the controller goes on believing what is declared. Float32 over 25 steps."""
     backend = many.sim_cfg.backend
     cfg = {name: each for name, each in MANY.items() if not name.startswith("gains")}
-    found = EnvManager(
-        sim=many.sim_cfg, env=many.cfg, robot=QUAD, controller=CONTROLLERS.get("rotor_speed_control"), num_envs=3,
-        device=torch.device("cpu"), seed=9, randomize=cfg,
-    )  # fmt: skip
+    found = simulation(QUAD, "rotor_speed_control", sim=many.sim_cfg, env=many.cfg, num_envs=3, seed=9, randomize=cfg)
     found.reset()
     states = ("robot_position", "robot_orientation", "robot_linvel", "robot_body_angvel", "rotor_speed")
     start = {key: found.gtd[key].clone() for key in states}
@@ -179,10 +168,7 @@ def test_it_flies_as_the_robot_whose_file_says_the_drawn_numbers(many: EnvManage
     for _ in range(25):
         found.step(speed)
     for i in range(2):
-        plain = EnvManager(
-            sim=many.sim_cfg, env=many.cfg, robot=as_file(found, i), controller=CONTROLLERS.get("rotor_speed_control"),
-            num_envs=1, device=torch.device("cpu"), seed=0,
-        )  # fmt: skip
+        plain = simulation(as_file(found, i), "rotor_speed_control", sim=many.sim_cfg, env=many.cfg, num_envs=1)
         plain.reset()
         for key in states:
             plain.gtd[key].copy_(start[key][i : i + 1])
@@ -242,10 +228,7 @@ def test_names_and_ranges_come_from_files(tmp_path) -> None:
         ENVIRONMENTS.get("empty_env"), randomize={"body.mass": RandomizeCfg(how="value", low=0.3, high=0.3)}
     )
     robot = replace(QUAD, randomize={"body.mass": RandomizeCfg(low=2.0, high=2.0), "body.com": MANY["body.com"]})
-    env = EnvManager(
-        sim=SIMS.get("base_sim"), env=where, robot=robot, controller=CONTROLLERS.get("no_control"), num_envs=2,
-        device=torch.device("cpu"), seed=0,
-    )  # fmt: skip
+    env = simulation(robot, env=where)
     env.reset()
     assert env.draws().keys() == {"body.mass", "body.com"}
     torch.testing.assert_close(env.gtd["robot_mass"], torch.full((2,), 0.3))

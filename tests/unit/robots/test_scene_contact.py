@@ -13,6 +13,7 @@ from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 
 WALL = AssetCfg(
     name="wall", count=1, shapes=(ShapeCfg(kind="box", size=(0.2, 4.0, 4.0)),),
@@ -24,9 +25,7 @@ ROBOT = ROBOTS.get("base_quadrotor")
 def build(env: EnvironmentCfg, *, robot: RobotCfg = ROBOT, backend: str = "auto", **names: str) -> EnvManager:
     controller = CONTROLLERS.get(names.get("controller", "no_control"))
     sim = replace(SIMS.get("base_sim"), backend=backend)
-    manager = EnvManager(
-        sim=sim, env=env, robot=robot, controller=controller, num_envs=2, device=torch.device("cpu"), seed=0
-    )
+    manager = simulation(robot, controller, sim=sim, env=env)
     manager.reset()
     return manager
 

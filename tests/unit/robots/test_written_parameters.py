@@ -6,12 +6,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import SimBuilder, task_registry
+from aerial_gym import task_registry
 from aerial_gym.config.randomize import Randomize, RandomizeCfg
-from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import OwnershipError
 from aerial_gym.physics import EFFECTS
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 
 BACKENDS = ["torch", "warp"]
 EFFECTS_ON_BOARD = (
@@ -44,15 +45,12 @@ def build(backend: str, randomize: Randomize | None = None, env_name: str = "emp
         effect = EFFECTS.get(name)
         neutral = zip(effect.parameters, effect.neutral(robot), strict=True)
         effects[name] = {each.name: value + 0.1 * each.scale for each, value in neutral}
-    env = SimBuilder().build_env(
-        sim_name=replace(SIMS.get("base_sim"), backend=backend),
-        env_name=env_name,
-        robot_name=replace(robot, effects=effects, effects_source="test"),
-        controller_name="lee_velocity_control",
-        num_envs=2,
-        device="cpu",
-        seed=0,
+    env = simulation(
+        replace(robot, effects=effects, effects_source="test"),
+        "lee_velocity_control",
+        env=env_name,
         randomize=randomize or {},
+        backend=backend,
     )
     env.reset()
     env.step(torch.zeros(2, 4))

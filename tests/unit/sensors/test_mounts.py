@@ -8,19 +8,18 @@ from pathlib import Path
 import pytest
 import torch
 
-from aerial_gym.assets import ENVIRONMENTS, Scene
+from aerial_gym.assets import Scene
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import load_robot
 from aerial_gym.config.sensor import CameraCfg, load_any_sensor
 from aerial_gym.config.sensor_mount import SensorMountCfg
 from aerial_gym.config.shape import ShapeCfg
-from aerial_gym.control import CONTROLLERS
-from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.math.quaternion import euler_from_quat, quat_conjugate, quat_from_euler, quat_multiply
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import IMUS, SENSORS, Pose, SensorManager, mounted_sensors, sensor_by_name
+from tests.builders import simulation
 
 BASE = ROBOTS.get("base_quadrotor")
 CAMERA = CameraCfg(
@@ -169,15 +168,7 @@ def test_two_equal_cameras_and_two_equal_imus_measure_apart() -> None:
     ahead = SensorMountCfg(sensor="depth_camera_64", position=(0.2, 0.0, 0.0))
     rear = replace(ahead, name="rear", position=(-0.2, 0.0, 0.0), quaternion=(0.0, 0.0, 2.0, 0.0))
     tail = SensorMountCfg(sensor="base_imu", name="tail", position=(-0.2, 0.0, 0.0), rate_hz=50.0, latency_s=0.02)
-    env = EnvManager(
-        sim=SIMS.get("base_sim"),
-        env=ENVIRONMENTS.get("landing_env"),
-        robot=replace(BASE, sensors=(ahead, rear, "base_imu", tail)),
-        controller=CONTROLLERS.get("no_control"),
-        num_envs=2,
-        device=torch.device("cpu"),
-        seed=0,
-    )
+    env = simulation(replace(BASE, sensors=(ahead, rear, "base_imu", tail)), env="landing_env")
     env.reset()
     gtd = env.gtd
     gtd["robot_position"].copy_(torch.tensor([[0.0, 0.0, 1.5]]).expand(2, 3))

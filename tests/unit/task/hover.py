@@ -5,7 +5,7 @@ from typing import Any
 
 import torch
 
-from aerial_gym import SimBuilder, task_registry
+from aerial_gym import task_registry
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sensor_mount import SensorMountCfg
 from aerial_gym.config.task import TaskCfg
@@ -20,6 +20,7 @@ from aerial_gym.config.task_terms import (
 )
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import Task
+from tests.builders import simulation
 
 
 def make(num_envs: int = 4, *, seed: int = 0, first_env: int = 0, **changes: object) -> Task:
@@ -42,11 +43,11 @@ def built(
     gradients: torch.dtype | None = None,
 ) -> Task:
     """Return a task of a configuration, with a robot that need not be registered; ``gradients``: in this float type."""
-    env = SimBuilder().build_env(
-        sim_name=cfg.sim,
-        env_name=cfg.env,
-        robot_name=robot or cfg.robot,
-        controller_name=cfg.controller,
+    env = simulation(
+        robot or cfg.robot,
+        cfg.controller,
+        sim=cfg.sim,
+        env=cfg.env,
         num_envs=num_envs,
         device=device,
         seed=seed,

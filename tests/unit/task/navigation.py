@@ -2,18 +2,13 @@
 
 from dataclasses import replace
 
-from aerial_gym import SimBuilder, task_registry
+from aerial_gym import task_registry
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.task import Task
+from tests.builders import simulation
 
 
-def changed(
-    cfg: TaskCfg,
-    *,
-    camera: bool = True,
-    success_radius: float | None = None,
-    **changes: object,
-) -> TaskCfg:
+def changed(cfg: TaskCfg, *, camera: bool = True, success_radius: float | None = None, **changes: object) -> TaskCfg:
     """Return a navigation task with changes; ``success_radius`` is that of its success."""
     if not camera:
         blind = tuple(entry for entry in cfg.observations["policy"] if entry.term != "nearest_in_cells")
@@ -27,13 +22,5 @@ def changed(
 def make(num_envs: int = 6, *, seed: int = 0, camera: bool = False, **changes: object) -> Task:
     """Return it; without its camera, which takes most of its time, unless asked for."""
     cfg = changed(task_registry.get("navigation_task"), camera=camera, **changes)  # type: ignore[arg-type]
-    env = SimBuilder().build_env(
-        sim_name=cfg.sim,
-        env_name=cfg.env,
-        robot_name=cfg.robot,
-        controller_name=cfg.controller,
-        num_envs=num_envs,
-        device="cpu",
-        seed=seed,
-    )
+    env = simulation(cfg.robot, cfg.controller, sim=cfg.sim, env=cfg.env, num_envs=num_envs, seed=seed)
     return Task(cfg, env)

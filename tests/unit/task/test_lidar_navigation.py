@@ -97,12 +97,7 @@ def test_the_lidar_sees_the_walls_where_they_are(yaw: float) -> None:
     width, height = (high - low)[:, 1], (high - low)[:, 2]
     near, far = torch.full((2,), 3.0), width - 3.0
     left, right = (far, near) if yaw == 0.0 else (near, far)
-    for columns, distance in (
-        ((0, 19), torch.full((2,), 2.5)),
-        ((5,), left),
-        ((9, 10), height - 2.5),
-        ((14,), right),
-    ):
+    for columns, distance in (((0, 19), torch.full((2,), 2.5)), ((5,), left), ((9, 10), height - 2.5), ((14,), right)):
         for column in columns:
             expected = (aside / distance).clamp_min(0.1)  # further than 10 m is 10 m
             torch.testing.assert_close(seen[:, 15, column], expected, rtol=2e-4, atol=0.0)

@@ -16,6 +16,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.robots.finite import NonFinite
 from aerial_gym.robots.watch import KEPT_STEPS
 from aerial_gym.task import OBSERVATIONS, REWARDS, Task
+from tests.builders import simulation
 from tests.repetitions import often
 
 BAD = 2
@@ -26,19 +27,10 @@ def make(backend: str = "auto") -> Task:
     task = task_registry.make_task("position_setpoint_task", num_envs=4, device="cpu", seed=3)
     if backend == "torch":
         task.close()
-        from aerial_gym.env_manager import SimBuilder
         from aerial_gym.env_manager.catalog import SIMS
 
         sim = replace(SIMS.get(task.cfg.sim), backend="torch")
-        env = SimBuilder().build_env(
-            sim_name=sim,
-            env_name=task.cfg.env,
-            robot_name=task.cfg.robot,
-            controller_name=task.cfg.controller,
-            num_envs=4,
-            device="cpu",
-            seed=3,
-        )
+        env = simulation(task.cfg.robot, task.cfg.controller, sim=sim, env=task.cfg.env, num_envs=4, seed=3)
         task = Task(task.cfg, env)
     return task
 

@@ -110,10 +110,7 @@ def test_a_drawn_track_lies_within_the_safety_limits(tmp_path: Path) -> None:
     assert track is not None
     assert start is not None
     assert track.layout is not None
-    assert (track.layout.lower, track.layout.upper) == (
-        pytest.approx((-1.9, -1.3)),
-        pytest.approx((2.1, 1.1)),
-    )
+    assert (track.layout.lower, track.layout.upper) == (pytest.approx((-1.9, -1.3)), pytest.approx((2.1, 1.1)))
     assert start.position_ratio_low == pytest.approx((0.6 / 6.0, 1.2 / 6.0, 0.1 / 2.5))
     assert start.position_ratio_high == pytest.approx((5.6 / 6.0, 4.6 / 6.0, 0.125 / 2.5))
 

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import torch
 
-from aerial_gym import SimBuilder
 from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.env_manager import EnvManager
+from tests.builders import simulation
 
 FILE = """
 extends: morphy
@@ -25,10 +25,7 @@ STANDING = replace(ENVIRONMENTS.get("landing_env"), contact=ContactCfg(friction=
 
 
 def build(robot: str | RobotCfg, env: EnvironmentCfg = STANDING, backend: str = "mujoco", **others) -> EnvManager:
-    return SimBuilder().build_env(
-        sim_name="base_sim", env_name=env, robot_name=robot, controller_name="no_control", device="cpu",
-        backend=backend, **({"num_envs": 2} | others),
-    )  # fmt: skip
+    return simulation(robot, env=env, backend=backend, **{"num_envs": 2} | others)
 
 
 def put(sim: EnvManager, place: torch.Tensor) -> None:

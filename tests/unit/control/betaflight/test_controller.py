@@ -298,10 +298,7 @@ def test_yaw_rests_where_routh_says(lag: float, rests: bool) -> None:
 
 
 def test_what_it_cannot_fly_is_refused_by_name() -> None:
-    for robot, words in (
-        ("omnidirectional_octarotor", "motors turn one way"),
-        ("base_random", "motors turn one way"),
-    ):
+    for robot, words in (("omnidirectional_octarotor", "motors turn one way"), ("base_random", "motors turn one way")):
         with pytest.raises(ConfigError, match=words):
             law_of(robot=ROBOTS.get(robot))
     attitude = replace(CONTROLLERS.get("lee_attitude_control"), betaflight=BetaflightCfg())

@@ -62,11 +62,7 @@ def test_tensors_from_elsewhere_are_read_at_every_call(rows: tuple[Tensor, Tenso
 
 @pytest.mark.parametrize(
     ("elsewhere", "lifts"),
-    [
-        (torch.ones(ROWS, 3), False),
-        (torch.ones(4), True),
-        (torch.ones(ROWS, 3, requires_grad=True), True),
-    ],
+    [(torch.ones(ROWS, 3), False), (torch.ones(4), True), (torch.ones(ROWS, 3, requires_grad=True), True)],
     ids=["not lifted", "without rows", "with a gradient of its own"],
 )
 def test_other_tensors_from_elsewhere_are_refused(elsewhere: Tensor, lifts: bool, rows: tuple[Tensor, Tensor]) -> None:

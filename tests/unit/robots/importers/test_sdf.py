@@ -351,16 +351,7 @@ def test_what_is_not_used_is_named_once_on_stderr_and_in_the_file(
     path, out = write(tmp_path, m=text), tmp_path / "m.yaml"
     assert main(["robot", "import", str(path), "--out", str(out)]) == 0
     said = capsys.readouterr().err.splitlines()
-    names = (
-        "front",
-        "gyro",
-        "skin",
-        "skirt",
-        "JointPositionController",
-        "gimbal",
-        "limit",
-        "rollingMomentCoefficient",
-    )
+    names = ("front", "gyro", "skin", "skirt", "JointPositionController", "gimbal", "limit", "rollingMomentCoefficient")
     for name in names:
         assert sum(name in re.split(r"[\W]+", line) for line in said) == 1, name
     assert any("pod" in line for line in said)  # its mass, its inertia, and that no joint holds it

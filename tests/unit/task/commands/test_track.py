@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import SimBuilder, task_registry
+from aerial_gym import task_registry
 from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.task_terms import CommandCfg, ObservationCfg
@@ -16,6 +16,7 @@ from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.task import Task
 from aerial_gym.task.commands.gates import crossing
 from aerial_gym.task.terms.way import AT_AXIS, WAY_AROUND, WAY_STRAIGHT, way_direction, way_through
+from tests.builders import simulation
 from tests.unit.task.hover import make
 
 STAY = torch.zeros(1, 4)
@@ -287,9 +288,7 @@ def test_leaving_the_arena_is_a_crash_and_lifting_off_is_not() -> None:
 
 def with_track(env: EnvironmentCfg, **changes: object) -> Task:
     cfg = replace(task_registry.get("racing_task"), env=env, **changes)  # type: ignore[arg-type]
-    built = SimBuilder().build_env(
-        sim_name=cfg.sim, env_name=env, robot_name=cfg.robot, controller_name=cfg.controller, num_envs=3, device="cpu"
-    )
+    built = simulation(cfg.robot, cfg.controller, sim=cfg.sim, env=env, num_envs=3)
     return Task(cfg, built)
 
 

@@ -12,9 +12,9 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from aerial_gym.config.robot import SensorMountCfg
-from aerial_gym.env_manager import SimBuilder
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import task_registry
+from tests.builders import simulation
 from tests.repetitions import seldom
 from tests.unit.task.hover import rich, seeing
 
@@ -95,14 +95,7 @@ def test_mounted_sensors_with_rate_and_latency_can_be_captured() -> None:
         "vn100",
         SensorMountCfg(sensor="bmi088", name="tail", position=(-0.1, 0.0, 0.0), **late),
     )
-    env = SimBuilder().build_env(
-        sim_name="base_sim",
-        env_name="landing_env",
-        robot_name=replace(ROBOTS.get("base_quadrotor"), sensors=mounts),
-        controller_name="lee_velocity_control",
-        num_envs=2,
-        device="cpu",
-    )
+    env = simulation(replace(ROBOTS.get("base_quadrotor"), sensors=mounts), "lee_velocity_control", env="landing_env")
     env.reset()
     actions, mask = torch.zeros(2, 4), torch.tensor([True, False])
     env.step(actions)

@@ -59,10 +59,7 @@ def test_a_success_ends_the_episode_at_once(bootstrap: bool | None) -> None:
     assert task.env.gtd["sim_steps"].tolist() == [0, 1, 0]
 
 
-@pytest.mark.parametrize(
-    ("when", "successes"),
-    [("counts", [True, True, False]), ("at_end", [False, True, False])],
-)
+@pytest.mark.parametrize(("when", "successes"), [("counts", [True, True, False]), ("at_end", [False, True, False])])
 def test_a_success_that_does_not_end_is_counted_at_the_end(when: str, successes: list[bool]) -> None:
     """The first arrives and leaves, the second is there at the end alone, the third never; all end by their length."""
     task = task_with(replace(AT_TARGET, when=when), episode_len_steps=3)

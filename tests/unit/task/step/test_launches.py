@@ -10,10 +10,10 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from warp._src.context import Launch
 
-from aerial_gym import SimBuilder
 from aerial_gym.config.randomize import Randomize, RandomizeCfg
 from aerial_gym.interop.rows import RowFunction
 from aerial_gym.task import Task, task_registry
+from tests.builders import simulation
 
 VIEWS = (
     "alias", "as_strided", "detach", "empty", "expand", "permute", "select", "slice", "split", "squeeze", "t", "transpose",
@@ -55,10 +55,7 @@ def test_a_step_launches_few_kernels(
 ) -> None:
     """``most`` is what it takes today: more of them are a choice, to be made here."""
     cfg = replace(task_registry.get(name), randomize=randomize)
-    task = Task(cfg, SimBuilder().build_env(
-        sim_name=cfg.sim, env_name=cfg.env, robot_name=cfg.robot, controller_name=cfg.controller, num_envs=2, device="cpu",
-        seed=0, randomize=randomize,
-    ))  # fmt: skip
+    task = Task(cfg, simulation(cfg.robot, cfg.controller, sim=cfg.sim, env=cfg.env, randomize=randomize))
     assert task.action_space.shape is not None
     actions = torch.zeros(2, *task.action_space.shape)
     task.reset()

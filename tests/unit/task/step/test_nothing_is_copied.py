@@ -6,10 +6,11 @@ from typing import NoReturn
 import pytest
 import torch
 
-from aerial_gym import SimBuilder, task_registry
+from aerial_gym import task_registry
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.task_terms import ActionCfg
 from aerial_gym.task import Task
+from tests.builders import simulation
 
 RANDOMIZE = {
     "body.mass": RandomizeCfg(low=0.8, high=1.2),
@@ -43,15 +44,7 @@ def test_a_step_makes_no_tensor_of_numbers(name: str, randomize: dict, monkeypat
     if cfg.robot == "snakey6":  # a sixth of its mass is in its base, which draws of the whole would use up
         randomize = {name: drawn for name, drawn in randomize.items() if not name.startswith("body.")}
     controller = "lee_velocity_control" if randomize else cfg.controller
-    env = SimBuilder().build_env(
-        sim_name=cfg.sim,
-        env_name=cfg.env,
-        robot_name=cfg.robot,
-        controller_name=controller,
-        num_envs=4,
-        device="cpu",
-        randomize=randomize,
-    )
+    env = simulation(cfg.robot, controller, sim=cfg.sim, env=cfg.env, num_envs=4, randomize=randomize)
     tells_rotors = cfg.action.transform == "rotor_range" or "snakey" in cfg.robot
     fits = not randomize or not tells_rotors
     task = Task(replace(cfg, controller=controller, action=cfg.action if fits else ActionCfg()), env)
