@@ -69,17 +69,10 @@ class Looks:
 class MeshLook:
     """The colours of one mesh file; a texture is multiplied by the colour of the corners."""
 
-    color: NDArray[np.float32]
-    """Of the corners of the triangles, (F, 3, 3)."""
-
-    uv: NDArray[np.float32]
-    """Texture coordinates of the corners, (F, 3, 2)."""
-
-    texture: NDArray[np.int32]
-    """Which of the images a triangle has, -1 for none, (F,)."""
-
-    images: tuple[NDArray[np.uint8], ...]
-    """Each (H, W, 3)."""
+    color: NDArray[np.float32]  # Of the corners of the triangles, (F, 3, 3)
+    uv: NDArray[np.float32]  # Texture coordinates of the corners, (F, 3, 2)
+    texture: NDArray[np.int32]  # Which of the images a triangle has, -1 for none, (F,)
+    images: tuple[NDArray[np.uint8], ...]  # Each (H, W, 3)
 
 
 def look_of_mesh(pieces: Sequence["trimesh.Trimesh"], faces: NDArray[np.int64]) -> MeshLook | None:

@@ -17,14 +17,9 @@ from aerial_gym.errors import ConfigError
 class RigidBody:
     """What all links weigh together."""
 
-    mass: float
-    """[kg]."""
-
-    com: np.ndarray
-    """Centre of mass from the origin of the root link [m], (3,)."""
-
-    inertia: np.ndarray
-    """About the centre of mass, axes of the root link [kg m²], (3, 3)."""
+    mass: float  # [kg]
+    com: np.ndarray  # Centre of mass from the origin of the root link [m], (3,)
+    inertia: np.ndarray  # About the centre of mass, axes of the root link [kg m²], (3, 3)
 
 
 def weld(masses: Sequence[float], poses: Sequence[np.ndarray], inertias: Sequence[np.ndarray]) -> RigidBody:

@@ -7,14 +7,9 @@ from dataclasses import dataclass
 class Name:
     """A name of that simulator and what it is here."""
 
-    theirs: str
-    """As a script writes it."""
-
-    ours: str
-    """What does it here, without this layer."""
-
-    remark: str = ""
-    """What differs, defects that are mended."""
+    theirs: str  # As a script writes it
+    ours: str  # What does it here, without this layer
+    remark: str = ""  # What differs, defects that are mended
 
 
 METHODS: tuple[Name, ...] = (

@@ -21,14 +21,9 @@ Read = Callable[[EnvManager], Any]
 class Key:
     """A key of that simulator."""
 
-    ours: str
-    """What stands in its place, for people; ``-`` for nothing."""
-
-    remark: str = ""
-    """What differs, or the way out."""
-
-    read: Read | None = None
-    """Its value; None: there is none."""
+    ours: str  # What stands in its place, for people; `-` for nothing
+    remark: str = ""  # What differs, or the way out
+    read: Read | None = None  # Its value; None: there is none
 
 
 def _own(remark: str = "", key: str | None = None) -> Key:

@@ -31,14 +31,9 @@ MATRIX_FIELDS = frozenset(
 class Allotment:
     """Thrusts, and how much of the wanted torque they give."""
 
-    thrust: Tensor
-    """[N], (E, R)."""
-
-    turn: Tensor
-    """Share of the roll and pitch torque, 0 to 1, (E, 1)."""
-
-    rest: Tensor
-    """Share of the yaw torque and the lateral force, 0 to 1, (E, 1)."""
+    thrust: Tensor  # [N], (E, R)
+    turn: Tensor  # Share of the roll and pitch torque, 0 to 1, (E, 1)
+    rest: Tensor  # Share of the yaw torque and the lateral force, 0 to 1, (E, 1)
 
 
 def prioritised_thrust(inverse: Tensor, wrench: Tensor, low: Tensor, high: Tensor) -> Tensor:

@@ -62,11 +62,8 @@ class Actuation:
     What comes with these is let happen: the lateral force of tilted rotors, the yaw torque of rotors that turn one way.
     """
 
-    axes: tuple[int, ...]
-    """Rows of the effectiveness matrix, N of them, in the order of ``PRIORITY``."""
-
-    lengths: tuple[float, ...]
-    """Of these rows."""
+    axes: tuple[int, ...]  # Rows of the effectiveness matrix, N of them, in the order of `PRIORITY`
+    lengths: tuple[float, ...]  # Of these rows
 
     def asked(self, matrix: Tensor) -> Tensor:
         """Return an effectiveness matrix (..., 6, R) with zeros in the rows of which nothing is asked."""

@@ -23,32 +23,15 @@ LEAST_LIFT = 0.1
 class LeeGains:
     """Gains of every environment and what the autopilot believes of its vehicle."""
 
-    position: Tensor
-    """[1/s²], (E, 3)."""
-
-    velocity: Tensor
-    """[1/s], (E, 3)."""
-
-    attitude: Tensor
-    """[N m/rad], (E, 3)."""
-
-    rate: Tensor
-    """[N m s/rad], (E, 3)."""
-
-    mass: Tensor
-    """Declared mass [kg], (E,)."""
-
-    inertia: Tensor
-    """Declared inertia [kg m²], (E, 3, 3)."""
-
-    gravity: float
-    """[m/s²]."""
-
-    max_yaw_rate: float
-    """[rad/s]."""
-
-    max_inclination: float
-    """[rad]."""
+    position: Tensor  # [1/s²], (E, 3)
+    velocity: Tensor  # [1/s], (E, 3)
+    attitude: Tensor  # [N m/rad], (E, 3)
+    rate: Tensor  # [N m s/rad], (E, 3)
+    mass: Tensor  # Declared mass [kg], (E,)
+    inertia: Tensor  # Declared inertia [kg m²], (E, 3, 3)
+    gravity: float  # [m/s²]
+    max_yaw_rate: float  # [rad/s]
+    max_inclination: float  # [rad]
 
 
 def attitude_error(rotation: Tensor, desired: Tensor) -> Tensor:

@@ -71,17 +71,10 @@ class LinearStep:
 class LinearLoop:
     """A period of the closed loop about a state of each vehicle."""
 
-    steps: tuple[LinearStep, ...]
-    """In their order; steps of equal phases are the same object."""
-
-    told: Tensor
-    """Command in that state, (B, R)."""
-
-    turned_back: Callable[[Tensor], Tensor]
-    """Law memory (..., N) after a period in the order of before."""
-
-    slots: int
-    """Commands on their way: whole physics steps of dead time and one; 0 without a dead time."""
+    steps: tuple[LinearStep, ...]  # In their order; steps of equal phases are the same object
+    told: Tensor  # Command in that state, (B, R)
+    turned_back: Callable[[Tensor], Tensor]  # Law memory (..., N) after a period in the order of before
+    slots: int  # Commands on their way: whole physics steps of dead time and one; 0 without a dead time
 
     @cached_property
     def basis(self) -> Tensor:

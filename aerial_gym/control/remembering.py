@@ -23,17 +23,10 @@ from aerial_gym.physics.state import BodyState
 class Layout:
     """Where each remembered number stands."""
 
-    held: int
-    """First commanded speed; (R,) numbers, if the rotors' command is held."""
-
-    width: int
-    """M."""
-
-    actions: int
-    """First number of the ring of actions, behind that of setpoints."""
-
-    past: int
-    """P."""
+    held: int  # First commanded speed; (R,) numbers, if the rotors' command is held
+    width: int  # M
+    actions: int  # First number of the ring of actions, behind that of setpoints
+    past: int  # P
 
 
 def layout_of(timing: Timing, *, own: int, num_rotors: int, num_actions: int) -> Layout:

@@ -13,20 +13,11 @@ WHOLE = 1e-6
 class Timing:
     """Physics steps between the runs of each level, and until a message has come through."""
 
-    dt: float
-    """Physics step [s]."""
-
-    law: int
-    """Between runs of the law; a multiple of ``loop``."""
-
-    loop: int
-    """Between runs of the rate loop; that of the law where there is none."""
-
-    delay: int
-    """From the law to the rate loop."""
-
-    action_delay: int
-    """To the law."""
+    dt: float  # Physics step [s]
+    law: int  # Between runs of the law; a multiple of `loop`
+    loop: int  # Between runs of the rate loop; that of the law where there is none
+    delay: int  # From the law to the rate loop
+    action_delay: int  # To the law
 
     @property
     def setpoint_slots(self) -> int:

@@ -42,17 +42,10 @@ Response = Callable[[Tensor], Tensor]
 class Tuning:
     """Gains of one loop that meet what was asked for."""
 
-    frequency: Tensor
-    """Of the placed pair w [rad/s], (E, 3)."""
-
-    proportional: Tensor
-    """Acceleration per error k_p [1/s²], (E, 3)."""
-
-    derivative: Tensor
-    """Acceleration per rate k_d [1/s], (E, 3)."""
-
-    inner: Response
-    """From a wanted to a given acceleration, H."""
+    frequency: Tensor  # Of the placed pair w [rad/s], (E, 3)
+    proportional: Tensor  # Acceleration per error k_p [1/s²], (E, 3)
+    derivative: Tensor  # Acceleration per rate k_d [1/s], (E, 3)
+    inner: Response  # From a wanted to a given acceleration, H
 
     @property
     def closed(self) -> Response:

@@ -32,17 +32,10 @@ UNIT = 2.0**-23
 class Agreement:
     """The output of a file that uses most of its limit."""
 
-    output: str
-    """Its name."""
-
-    error: float
-    """Largest distance from torch in float64, in the unit of the output."""
-
-    rounding: float
-    """Largest distance of torch in float32 from torch in float64."""
-
-    span: float
-    """Range of the output."""
+    output: str  # Its name
+    error: float  # Largest distance from torch in float64, in the unit of the output
+    rounding: float  # Largest distance of torch in float32 from torch in float64
+    span: float  # Range of the output
 
     @property
     def limit(self) -> float:

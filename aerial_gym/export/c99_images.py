@@ -43,17 +43,10 @@ static void convolve(const float *weight, const float *bias, int num_in, int row
 class Looking:
     """What looks at images, as C."""
 
-    arrays: tuple[str, ...]
-    """Definitions of weights."""
-
-    code: str
-    """Statements that leave the features of each image in ``NAME_features``."""
-
-    widths: dict[str, int]
-    """How many these are, by the key of the image."""
-
-    work: int
-    """Numbers that the largest layer makes: the state holds twice as many."""
+    arrays: tuple[str, ...]  # Definitions of weights
+    code: str  # Statements that leave the features of each image in `NAME_features`
+    widths: dict[str, int]  # How many these are, by the key of the image
+    work: int  # Numbers that the largest layer makes: the state holds twice as many
 
 
 def parameters(layout: Layout) -> str:

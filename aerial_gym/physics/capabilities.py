@@ -22,32 +22,15 @@ BACKEND_PREFERENCE = ("warp", "torch")
 class Needs:
     """What is asked of a backend."""
 
-    device: torch.device
-    """Where it runs."""
-
-    dtype: torch.dtype = torch.float32
-    """Float type of the state."""
-
-    integrator: str | None = None
-    """Name of a stepper; None where any will do."""
-
-    effects: tuple[str, ...] = ()
-    """Names of effects."""
-
-    rotors: frozenset[str] = frozenset()
-    """Of ``config.rotor.ROTOR_TRAITS``."""
-
-    contact: bool = False
-    """Whether ground or obstacles push back."""
-
-    gradients: bool = False
-    """Whether gradients flow through a step."""
-
-    joints: bool = False
-    """Whether bodies hang on joints."""
-
-    contact_of_links: bool = False
-    """Whether these are pushed by the ground, by obstacles, or by each other."""
+    device: torch.device  # Where it runs
+    dtype: torch.dtype = torch.float32  # Float type of the state
+    integrator: str | None = None  # Name of a stepper; None where any will do
+    effects: tuple[str, ...] = ()  # Names of effects
+    rotors: frozenset[str] = frozenset()  # Of `config.rotor.ROTOR_TRAITS`
+    contact: bool = False  # Whether ground or obstacles push back
+    gradients: bool = False  # Whether gradients flow through a step
+    joints: bool = False  # Whether bodies hang on joints
+    contact_of_links: bool = False  # Whether these are pushed by the ground, by obstacles, or by each other
 
 
 def needs_of(robot: RobotCfg, device: torch.device, **others: object) -> Needs:

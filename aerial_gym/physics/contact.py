@@ -63,14 +63,9 @@ def position_share(integrator: str, *, in_fluid: bool) -> float:
 class Contacts:
     """Where a body may touch surfaces at rest, after a step without contact."""
 
-    gap: Tensor
-    """Signed distance of the surfaces [m], (E, C); those < 0 push."""
-
-    lever: Tensor
-    """Contact point from the centre of mass [m], world, (E, C, 3)."""
-
-    normal: Tensor
-    """Unit normal of the touched surface, towards the body, world, (E, C, 3)."""
+    gap: Tensor  # Signed distance of the surfaces [m], (E, C); those < 0 push
+    lever: Tensor  # Contact point from the centre of mass [m], world, (E, C, 3)
+    normal: Tensor  # Unit normal of the touched surface, towards the body, world, (E, C, 3)
 
 
 def push(

@@ -21,37 +21,21 @@ from aerial_gym.physics.state import BodyState
 class LinkShape:
     """A sphere, a capsule along z or a box of a link, in its axes: what is within a radius of a core."""
 
-    link: int
-    """The base is 0."""
-
-    center: tuple[float, float, float]
-    """From the origin of the link [m]."""
-
-    attitude: tuple[float, float, float, float]
-    """Of the core, xyzw."""
-
-    half: tuple[float, float, float]
-    """Half edges of the core [m]: all zero of a sphere, x and y of a capsule."""
-
-    radius: float
-    """[m]; 0 of a box."""
+    link: int  # The base is 0
+    center: tuple[float, float, float]  # From the origin of the link [m]
+    attitude: tuple[float, float, float, float]  # Of the core, xyzw
+    half: tuple[float, float, float]  # Half edges of the core [m]: all zero of a sphere, x and y of a capsule
+    radius: float  # [m]; 0 of a box
 
 
 @dataclass(frozen=True, kw_only=True)
 class LinkShapes:
     """What of a vehicle that bends touches what."""
 
-    links: tuple[int, ...]
-    """Link of each sphere that can touch the ground, the base being 0, (C,)."""
-
-    shapes: tuple[LinkShape, ...] = ()
-    """Shapes that can touch each other, or obstacles."""
-
-    pairs: tuple[tuple[int, int], ...] = ()
-    """Places in ``shapes`` of those that push each other."""
-
-    solids: Solids | None = None
-    """The obstacles that push ``shapes``; None where there are none."""
+    links: tuple[int, ...]  # Link of each sphere that can touch the ground, the base being 0, (C,)
+    shapes: tuple[LinkShape, ...] = ()  # Shapes that can touch each other, or obstacles
+    pairs: tuple[tuple[int, int], ...] = ()  # Places in `shapes` of those that push each other
+    solids: Solids | None = None  # The obstacles that push `shapes`; None where there are none
 
 
 @dataclass(frozen=True, kw_only=True)

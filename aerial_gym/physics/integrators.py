@@ -30,23 +30,12 @@ from aerial_gym.physics.state import BodyState
 class MassState:
     """Motion of the centre of mass."""
 
-    position: Tensor
-    """Centre of mass [m], world, (E, 3)."""
-
-    attitude: Tensor
-    """Body to world, unit, xyzw, (E, 4)."""
-
-    lin_vel: Tensor
-    """Velocity of the centre of mass [m/s], world, (E, 3)."""
-
-    ang_vel: Tensor
-    """Angular velocity [rad/s], body, (E, 3)."""
-
-    rotor_speed: Tensor
-    """Rotor speeds [rad/s], (E, R)."""
-
-    load: Tensor
-    """Direction of the link on which a body hangs, and its rate [1/s], world, (E, 6); (E, 0) without one."""
+    position: Tensor  # Centre of mass [m], world, (E, 3)
+    attitude: Tensor  # Body to world, unit, xyzw, (E, 4)
+    lin_vel: Tensor  # Velocity of the centre of mass [m/s], world, (E, 3)
+    ang_vel: Tensor  # Angular velocity [rad/s], body, (E, 3)
+    rotor_speed: Tensor  # Rotor speeds [rad/s], (E, R)
+    load: Tensor  # Direction of the link on which a body hangs, and its rate [1/s], world, (E, 6); (E, 0) without one
 
 
 Stepper = Callable[[Model, MassState, RotorCommand, float], MassState]

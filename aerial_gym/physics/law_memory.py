@@ -33,14 +33,9 @@ class LawNeeds:
 class LawMemory:
     """Memory of a law in all environments."""
 
-    numbers: Tensor
-    """(E, M); (M, E) in the fused backend."""
-
-    past: Tensor
-    """(E, P); (P, E) in the fused backend."""
-
-    since: Tensor
-    """Physics steps since the reset, int32, (E,)."""
+    numbers: Tensor  # (E, M); (M, E) in the fused backend
+    past: Tensor  # (E, P); (P, E) in the fused backend
+    since: Tensor  # Physics steps since the reset, int32, (E,)
 
     def tensors(self) -> dict[str, Tensor]:
         """Return what changes from substep to substep, by name."""

@@ -20,20 +20,11 @@ from aerial_gym.physics.rotor_lag import Ramp, RotorCommand, Succession
 class Memory:
     """Memory of all effects of a model."""
 
-    initial: Tensor
-    """Numbers right after a reset, (sum of M,)."""
-
-    numbers: Tensor
-    """Of the effects in the order of ``EffectsByKind.forces``, (E, sum of M)."""
-
-    past: Tensor
-    """Commands of the control law [rad/s], newest first, (E, S, R); S is 0 without a delay."""
-
-    since: Tensor
-    """Substeps since the reset, int32, (E,)."""
-
-    random: Randomness
-    """Of the draws, which depend on ``since`` as well."""
+    initial: Tensor  # Numbers right after a reset, (sum of M,)
+    numbers: Tensor  # Of the effects in the order of `EffectsByKind.forces`, (E, sum of M)
+    past: Tensor  # Commands of the control law [rad/s], newest first, (E, S, R); S is 0 without a delay
+    since: Tensor  # Substeps since the reset, int32, (E,)
+    random: Randomness  # Of the draws, which depend on `since` as well
 
     def tensors(self) -> dict[str, Tensor]:
         """Return what changes from substep to substep, by name."""

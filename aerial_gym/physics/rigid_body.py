@@ -337,11 +337,8 @@ def with_memory(model: Model, remembered: Mapping[str, Tensor]) -> Model:
 class Accelerations:
     """What inertial sensors at the body origin measure, without their errors."""
 
-    specific_force: Tensor
-    """Specific force at the body origin [m/s²], body, (E, 3): +g on z at hover."""
-
-    ang_acc: Tensor
-    """Angular acceleration [rad/s²], body, (E, 3)."""
+    specific_force: Tensor  # Specific force at the body origin [m/s²], body, (E, 3): +g on z at hover
+    ang_acc: Tensor  # Angular acceleration [rad/s²], body, (E, 3)
 
 
 def accelerations(

@@ -23,22 +23,16 @@ SHORTEST = 1e-12
 class Succession:
     """Two commands, one after the other, that the rotors follow in a step."""
 
-    earlier: Tensor
-    """First commands [rad/s] or [N], (E, R)."""
-
-    later: Tensor
-    """Second ones, likewise."""
-
-    change: Tensor
-    """From the start of the step to the second ones [s], (E, 1)."""
+    earlier: Tensor  # First commands [rad/s] or [N], (E, R)
+    later: Tensor  # Second ones, likewise
+    change: Tensor  # From the start of the step to the second ones [s], (E, 1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ramp:
     """Rotors that are known to turn in a straight line through a step, as a log has them, whatever their lag."""
 
-    rate: Tensor
-    """Change of their states [rad/s²] or [N/s], (E, R)."""
+    rate: Tensor  # Change of their states [rad/s²] or [N/s], (E, R)
 
 
 RotorCommand = Tensor | Succession | Ramp

@@ -13,20 +13,11 @@ from torch import Tensor
 class BodyState:
     """Motion of the body origin and speeds of the rotors, all at the same instant."""
 
-    position: Tensor
-    """Body origin [m], world, (E, 3)."""
-
-    attitude: Tensor
-    """Body to world, unit, xyzw, (E, 4)."""
-
-    lin_vel: Tensor
-    """Velocity of the body origin [m/s], world, (E, 3)."""
-
-    ang_vel: Tensor
-    """Angular velocity [rad/s], body, (E, 3)."""
-
-    rotor_speed: Tensor
-    """Rotor speeds [rad/s], (E, R)."""
+    position: Tensor  # Body origin [m], world, (E, 3)
+    attitude: Tensor  # Body to world, unit, xyzw, (E, 4)
+    lin_vel: Tensor  # Velocity of the body origin [m/s], world, (E, 3)
+    ang_vel: Tensor  # Angular velocity [rad/s], body, (E, 3)
+    rotor_speed: Tensor  # Rotor speeds [rad/s], (E, R)
 
     @property
     def num_envs(self) -> int:
@@ -47,11 +38,8 @@ class BodyState:
 class JointedState(BodyState):
     """The same of a vehicle that bends: its body is the base of a tree of links."""
 
-    joint_pos: Tensor
-    """Coordinates of the joints [rad] or [m], (E, D)."""
-
-    joint_vel: Tensor
-    """Their rates [rad/s] or [m/s], (E, D)."""
+    joint_pos: Tensor  # Coordinates of the joints [rad] or [m], (E, D)
+    joint_vel: Tensor  # Their rates [rad/s] or [m/s], (E, D)
 
     def tensors(self) -> tuple[Tensor, ...]:
         """Return the tensors in the order of the fields."""

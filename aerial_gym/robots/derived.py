@@ -117,14 +117,9 @@ def _derive(
 class Checked:
     """What is looked at besides the motion, and where it is written that something is not finite."""
 
-    actions: Tensor
-    """(E, U)."""
-
-    non_finite: Tensor
-    """Receives bits of ``NonFinite``, int32 (E,)."""
-
-    crashes: Tensor
-    """Set where there are any, bool (E,)."""
+    actions: Tensor  # (E, U)
+    non_finite: Tensor  # Receives bits of `NonFinite`, int32 (E,)
+    crashes: Tensor  # Set where there are any, bool (E,)
 
     @classmethod
     def nothing(cls, state: BodyState) -> "Checked":

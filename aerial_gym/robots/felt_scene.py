@@ -15,11 +15,8 @@ from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 class FeltScene:
     """Tensors of the GTD; None where no effect feels it."""
 
-    other_position: Tensor | None
-    """Vehicle whose wake streams down [m], world, (E, 3)."""
-
-    surface_height: Tensor | None
-    """Height of the first surface below the robot [m], world, (E, 1)."""
+    other_position: Tensor | None  # Vehicle whose wake streams down [m], world, (E, 3)
+    surface_height: Tensor | None  # Height of the first surface below the robot [m], world, (E, 1)
 
     @property
     def sources(self) -> tuple[Tensor, ...]:

@@ -57,17 +57,10 @@ def joint_factor(cfg: Randomize) -> tuple[tuple[str, ...], np.ndarray]:
 class Drawn:
     """A quantity that is drawn, and where its numbers stand."""
 
-    name: str
-    """Of the quantity."""
-
-    cfg: RandomizeCfg
-    """How it is drawn."""
-
-    shape: tuple[int, ...]
-    """Of its draw in one environment."""
-
-    columns: slice
-    """Among the K numbers."""
+    name: str  # Of the quantity
+    cfg: RandomizeCfg  # How it is drawn
+    shape: tuple[int, ...]  # Of its draw in one environment
+    columns: slice  # Among the K numbers
 
 
 @wp.struct

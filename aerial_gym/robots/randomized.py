@@ -58,14 +58,9 @@ def check_names(cfg: Randomize, known: Sequence[str]) -> None:
 class Followed:
     """What follows from draws."""
 
-    vehicle: Vehicle
-    """With the drawn quantities, before the effects."""
-
-    params: tuple[Tensor, ...]
-    """Parameters (E, P) of every effect."""
-
-    gains: dict[str, Tensor]
-    """Drawn gains by name, (E, 3)."""
+    vehicle: Vehicle  # With the drawn quantities, before the effects
+    params: tuple[Tensor, ...]  # Parameters (E, P) of every effect
+    gains: dict[str, Tensor]  # Drawn gains by name, (E, 3)
 
 
 class Randomized:

@@ -20,17 +20,10 @@ from aerial_gym.robots.joints.states import declare_joints
 class RobotTensors:
     """The robot's tensors in the GTD."""
 
-    state: BodyState
-    """Written by the physics."""
-
-    derived: DerivedStates
-    """Written after the physics and after a reset."""
-
-    actions: Tensor
-    """(E, U)."""
-
-    prev_actions: Tensor
-    """(E, U)."""
+    state: BodyState  # Written by the physics
+    derived: DerivedStates  # Written after the physics and after a reset
+    actions: Tensor  # (E, U)
+    prev_actions: Tensor  # (E, U)
 
     @property
     def both_actions(self) -> tuple[Tensor, Tensor]:

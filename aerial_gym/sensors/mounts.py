@@ -36,11 +36,8 @@ PLACE = ("position", "euler")
 class Pose:
     """A place in the body frame, float64."""
 
-    position: Tensor
-    """[m], (3,)."""
-
-    attitude: Tensor
-    """To the body, xyzw, unit, (4,)."""
+    position: Tensor  # [m], (3,)
+    attitude: Tensor  # To the body, xyzw, unit, (4,)
 
     def of(self, position: Tensor, attitude: Tensor) -> tuple[Tensor, Tensor]:
         """Return where what stands at ``position`` (..., 3) and ``attitude`` (..., 4) of this frame is in the body frame."""
@@ -57,34 +54,20 @@ class Pose:
 class Carrier:
     """What a sensor sits on, body or link, as it moves: tensors that are read at every measurement, strided or not."""
 
-    number: int = 0
-    """Of the link; 0 of the body."""
-
-    position: Tensor
-    """Origin of its frame [m], world, (E, 3)."""
-
-    attitude: Tensor
-    """To the world, xyzw, unit, (E, 4)."""
-
-    lin_vel: Tensor
-    """Of the origin [m/s], world, (E, 3)."""
-
-    ang_vel: Tensor
-    """[rad/s], its own axes, (E, 3)."""
+    number: int = 0  # Of the link; 0 of the body
+    position: Tensor  # Origin of its frame [m], world, (E, 3)
+    attitude: Tensor  # To the world, xyzw, unit, (E, 4)
+    lin_vel: Tensor  # Of the origin [m/s], world, (E, 3)
+    ang_vel: Tensor  # [rad/s], its own axes, (E, 3)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mounted(Generic[Cfg]):
     """A sensor on a robot."""
 
-    cfg: Cfg
-    """The sensor, with the rate and latency of its mount."""
-
-    pose: Pose | None
-    """Where it is instead of its nominal placement; None where its mount says nothing."""
-
-    link: str = BASE
-    """Name of the link that carries it."""
+    cfg: Cfg  # The sensor, with the rate and latency of its mount
+    pose: Pose | None  # Where it is instead of its nominal placement; None where its mount says nothing
+    link: str = BASE  # Name of the link that carries it
 
 
 def sensor_by_name(name: str) -> SensorCfg:

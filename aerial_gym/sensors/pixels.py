@@ -28,26 +28,13 @@ MISS_FACE = wp.constant(_MISS_FACE)
 class Outputs:
     """Which images a sensor writes, and what of a pixel is worked out for them."""
 
-    images: tuple[str, ...]
-    """Names in ``IMAGES``."""
-
-    in_world: tuple[str, ...]
-    """Those of them that stand in the world frame."""
-
-    noise: bool
-    """Whether the distance has noise."""
-
-    shadows: bool
-    """Whether what stands before a light takes it away."""
-
-    lamps: bool
-    """Whether the environment has lamps."""
-
-    scan: bool
-    """Whether the columns of a scanning lidar are seen from seats of their own."""
-
-    frames: bool = False
-    """Whether every image looks along other rays."""
+    images: tuple[str, ...]  # Names in `IMAGES`
+    in_world: tuple[str, ...]  # Those of them that stand in the world frame
+    noise: bool  # Whether the distance has noise
+    shadows: bool  # Whether what stands before a light takes it away
+    lamps: bool  # Whether the environment has lamps
+    scan: bool  # Whether the columns of a scanning lidar are seen from seats of their own
+    frames: bool = False  # Whether every image looks along other rays
 
 
 @wp.struct

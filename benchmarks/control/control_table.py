@@ -61,8 +61,7 @@ class Refusal:
     robot: str
     controller: str
     sim: str
-    refused: str
-    """What the message says."""
+    refused: str  # What the message says
 
     @property
     def of_kind(self) -> bool:

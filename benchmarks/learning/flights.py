@@ -32,17 +32,10 @@ FASTEST = 0.98
 class Flights:
     """First episodes of some environments, NaN after their ends. Letters: E environments, T steps."""
 
-    offset: Tensor
-    """Robot minus target [m], world, (E, T, 3)."""
-
-    speed: Tensor
-    """[m/s], (E, T)."""
-
-    crashed: Tensor
-    """Whether it ended as a crash, bool (E,)."""
-
-    dt: float
-    """Time of a step [s]."""
+    offset: Tensor  # Robot minus target [m], world, (E, T, 3)
+    speed: Tensor  # [m/s], (E, T)
+    crashed: Tensor  # Whether it ended as a crash, bool (E,)
+    dt: float  # Time of a step [s]
 
 
 @torch.no_grad()

@@ -18,17 +18,10 @@ CASES: dict[str, tuple[str, ...]] = {
 class Peer:
     """Another simulator."""
 
-    needs: str
-    """Module that must be importable."""
-
-    script: str
-    """Module of ours that runs it."""
-
-    cases: tuple[str, ...]
-    """What it can do of ``CASES``."""
-
-    devices: tuple[str, ...]
-    """``cpu``, ``cuda``."""
+    needs: str  # Module that must be importable
+    script: str  # Module of ours that runs it
+    cases: tuple[str, ...]  # What it can do of `CASES`
+    devices: tuple[str, ...]  # `cpu`, `cuda`
 
 
 PEERS: Registry[Peer] = Registry("peer")

@@ -9,26 +9,13 @@ from dataclasses import dataclass, replace
 class Measurement:
     """Figures of one simulator in one case."""
 
-    name: str
-    """Simulator: aerial_gym or a peer."""
-
-    case: str
-    """plant, rk4 or attitude."""
-
-    substeps: int | None
-    """Substeps in one launch of ours; None for a peer."""
-
-    rates: tuple[float, ...]
-    """Steps per second, all vehicles together, one figure a round."""
-
-    version: str
-    """Versions of what ran."""
-
-    dt_s: float
-    """Length of a step [s]."""
-
-    call: str
-    """How many steps one call makes, and what fuses them."""
+    name: str  # Simulator: aerial_gym or a peer
+    case: str  # plant, rk4 or attitude
+    substeps: int | None  # Substeps in one launch of ours; None for a peer
+    rates: tuple[float, ...]  # Steps per second, all vehicles together, one figure a round
+    version: str  # Versions of what ran
+    dt_s: float  # Length of a step [s]
+    call: str  # How many steps one call makes, and what fuses them
 
     @property
     def steps_per_s(self) -> float:
@@ -61,8 +48,7 @@ class Ratio:
     ours_dt_s: float
     ours_steps_per_s: float
     ours_rounds: tuple[float, ...]
-    ratio: float
-    """Ours over the peer's; above 1 ours is faster."""
+    ratio: float  # Ours over the peer's; above 1 ours is faster
 
 
 def ratios(measurements: Sequence[Measurement]) -> list[Ratio]:

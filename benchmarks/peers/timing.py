@@ -21,46 +21,24 @@ MAX_DISTANCE = 1000.0
 class Request:
     """What the runner asks of a peer."""
 
-    case: str
-    """plant, rk4 or attitude."""
-
-    num_envs: int
-    """Vehicles side by side."""
-
-    threads: int
-    """CPU threads; the runner has pinned the process to so many cores."""
-
-    device: str
-    """cpu or cuda."""
-
-    repeats: int
-    """Figures to take."""
-
-    repeat_time_s: float
-    """About how long each is measured [s]."""
+    case: str  # plant, rk4 or attitude
+    num_envs: int  # Vehicles side by side
+    threads: int  # CPU threads; the runner has pinned the process to so many cores
+    device: str  # cpu or cuda
+    repeats: int  # Figures to take
+    repeat_time_s: float  # About how long each is measured [s]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Batch:
     """What is timed: a block of steps of all vehicles."""
 
-    steps: int
-    """Steps of each vehicle in a block."""
-
-    dt: float
-    """Length of a step [s]."""
-
-    run: Callable[[], None]
-    """Do one block; need not wait for a GPU."""
-
-    restart: Callable[[], None]
-    """Put the start back."""
-
-    wait: Callable[[], None]
-    """Wait until everything is done."""
-
-    heights: Callable[[], list[float]]
-    """Return the height of every vehicle [m]."""
+    steps: int  # Steps of each vehicle in a block
+    dt: float  # Length of a step [s]
+    run: Callable[[], None]  # Do one block; need not wait for a GPU
+    restart: Callable[[], None]  # Put the start back
+    wait: Callable[[], None]  # Wait until everything is done
+    heights: Callable[[], list[float]]  # Return the height of every vehicle [m]
 
 
 def parse(doc: str | None) -> Request:

@@ -30,12 +30,8 @@ class Measured:
 
     robot: str
     mapping: str
-    bandwidth: float
-    """[Hz]."""
-
-    train: Callable[[Path, Path], list[Path]]
-    """Of the folder of all data, and of one to write to."""
-
+    bandwidth: float  # [Hz]
+    train: Callable[[Path, Path], list[Path]]  # Of the folder of all data, and of one to write to
     test: Callable[[Path, Path], list[Path]]
 
 

@@ -65,17 +65,13 @@ def code_digest() -> str:
 class Job:
     """One case to score."""
 
-    hidden: tuple[str, ...]
-    """Names of the effects; none: a control."""
-
+    hidden: tuple[str, ...]  # Names of the effects; none: a control
     size: str
     seed: int
     nuisance: bool
     tracked: bool
     logged: bool
-    features: tuple[str, ...] = ()
-    """Of the flights, beside those that the effects need."""
-
+    features: tuple[str, ...] = ()  # Of the flights, beside those that the effects need
     num_train: int = 4
     num_test: int = 3
     duration_s: float = 16.0

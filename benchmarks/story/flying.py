@@ -90,14 +90,9 @@ def fly_setpoints(policy: Policy, *, declared: Vehicle, true: Vehicle, bias: Bia
 class Tracking:
     """How near some flights stayed to their setpoints."""
 
-    error_m: float
-    """Mean distance in the last second at a setpoint, of flights that are not lost [m]."""
-
-    error_p95_m: float
-    """Its 95th percentile over flights and setpoints [m]."""
-
-    lost: float
-    """Share of flights that were further than 1.5 m from their setpoint at a time."""
+    error_m: float  # Mean distance in the last second at a setpoint, of flights that are not lost [m]
+    error_p95_m: float  # Its 95th percentile over flights and setpoints [m]
+    lost: float  # Share of flights that were further than 1.5 m from their setpoint at a time
 
 
 def tracking(record: Record, points: Array) -> Tracking:

@@ -40,17 +40,10 @@ SETTLE_S = 2.0
 class CaseFiles:
     """Where a case lies."""
 
-    train: tuple[Path, ...]
-    """Logs to fit on."""
-
-    test: tuple[Path, ...]
-    """Logs to judge on; other families of trajectories than train."""
-
-    robot: Path
-    """The declared robot, YAML."""
-
-    truth: Path
-    """What is hidden, JSON."""
+    train: tuple[Path, ...]  # Logs to fit on
+    test: tuple[Path, ...]  # Logs to judge on; other families of trajectories than train
+    robot: Path  # The declared robot, YAML
+    truth: Path  # What is hidden, JSON
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,17 +52,10 @@ class Flight:
 
     name: str
     family: str
-    stream: tuple[int, int]
-    """Keys of its random streams, beside the seed of the case."""
-
-    lowest: float = LOWEST_HEIGHT
-    """Of the reference [m], above the ground or below the ceiling."""
-
-    ease: float = 1.0
-    """Scale of the reference."""
-
-    below_ceiling: bool = False
-    """Whether the reference hangs from the ceiling."""
+    stream: tuple[int, int]  # Keys of its random streams, beside the seed of the case
+    lowest: float = LOWEST_HEIGHT  # Of the reference [m], above the ground or below the ceiling
+    ease: float = 1.0  # Scale of the reference
+    below_ceiling: bool = False  # Whether the reference hangs from the ceiling
 
 
 NEAR = {
@@ -167,18 +153,12 @@ def _read_voltage(record: Record, flights: list[Flight], seed: int) -> Record:
 class FlownCase:
     """A case in memory; flights include the hover before the logs."""
 
-    params: dict[str, dict[str, float]]
-    """Hidden effects and their parameters."""
-
+    params: dict[str, dict[str, float]]  # Hidden effects and their parameters
     declared: Vehicle
     true: Vehicle
-    bias: Bias
-    """Of the IMU, by nuisance."""
-
+    bias: Bias  # Of the IMU, by nuisance
     features: tuple[str, ...]
-    failures: dict[str, Failure]
-    """By the name of the flight."""
-
+    failures: dict[str, Failure]  # By the name of the flight
     flights: list[Flight]
     reference: Reference
     record: Record

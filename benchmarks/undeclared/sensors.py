@@ -19,23 +19,12 @@ from benchmarks.undeclared.vehicle import Array
 class Noise:
     """Standard deviation of the white noise of one sample, each axis."""
 
-    acc: float = 0.07
-    """Accelerometer [m/s²]."""
-
-    gyro: float = 0.003
-    """Gyro [rad/s]."""
-
-    attitude: float = float(np.deg2rad(0.05))
-    """Rotation vector of the attitude error, body frame [rad]."""
-
-    position: float = 0.001
-    """Position [m]."""
-
-    velocity: float = 0.005
-    """Velocity [m/s]."""
-
-    rotor: float = 0.003
-    """Rotor speed, relative."""
+    acc: float = 0.07  # Accelerometer [m/s²]
+    gyro: float = 0.003  # Gyro [rad/s]
+    attitude: float = float(np.deg2rad(0.05))  # Rotation vector of the attitude error, body frame [rad]
+    position: float = 0.001  # Position [m]
+    velocity: float = 0.005  # Velocity [m/s]
+    rotor: float = 0.003  # Rotor speed, relative
 
 
 NOISELESS = Noise(acc=0.0, gyro=0.0, attitude=0.0, position=0.0, velocity=0.0, rotor=0.0)
@@ -45,23 +34,12 @@ NOISELESS = Noise(acc=0.0, gyro=0.0, attitude=0.0, position=0.0, velocity=0.0, r
 class Sample:
     """What the sensors say at one instant."""
 
-    position: Array
-    """Body origin [m], world, (F, 3)."""
-
-    velocity: Array
-    """Of the body origin [m/s], world, (F, 3)."""
-
-    rotation: Array
-    """Tracked axes, those of the body but for how they are aligned, to world, (F, 3, 3)."""
-
-    rate: Array
-    """Angular velocity [rad/s], IMU axes, (F, 3)."""
-
-    acc: Array
-    """Specific force where the accelerometer is [m/s²], IMU axes, (F, 3)."""
-
-    rotor: Array
-    """Rotor speeds [rad/s], (F, 4)."""
+    position: Array  # Body origin [m], world, (F, 3)
+    velocity: Array  # Of the body origin [m/s], world, (F, 3)
+    rotation: Array  # Tracked axes, those of the body but for how they are aligned, to world, (F, 3, 3)
+    rate: Array  # Angular velocity [rad/s], IMU axes, (F, 3)
+    acc: Array  # Specific force where the accelerometer is [m/s²], IMU axes, (F, 3)
+    rotor: Array  # Rotor speeds [rad/s], (F, 4)
 
 
 class Sensors:

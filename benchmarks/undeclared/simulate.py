@@ -35,23 +35,12 @@ class Pilot(Protocol):
 class Record:
     """What happened, with time in the first axis."""
 
-    measured: dict[str, Array]
-    """Fields of Sample by name, each (T, F, ...)."""
-
-    command: Array
-    """Rotor speeds held from each instant on [rad/s], (T, F, 4)."""
-
-    state: Array
-    """True states, as in dynamics.py, (T, F, 22), with more behind them as in full_dynamics.py."""
-
-    position: Array
-    """True position of the body origin [m], world, (T, F, 3)."""
-
-    voltage: Array
-    """True battery voltage [V], (T, F); the nominal one without a battery."""
-
-    surroundings: Surroundings
-    """As given to ``fly``."""
+    measured: dict[str, Array]  # Fields of Sample by name, each (T, F, ...)
+    command: Array  # Rotor speeds held from each instant on [rad/s], (T, F, 4)
+    state: Array  # True states, as in dynamics.py, (T, F, 22), with more behind them as in full_dynamics.py
+    position: Array  # True position of the body origin [m], world, (T, F, 3)
+    voltage: Array  # True battery voltage [V], (T, F); the nominal one without a battery
+    surroundings: Surroundings  # As given to `fly`
 
 
 def fly(
@@ -106,17 +95,10 @@ def fly(
 class Summary:
     """How well one flight went, over the logged part."""
 
-    rms_position_error: float
-    """Root mean square of the distance to the reference [m]."""
-
-    top_speed: float
-    """[m/s]."""
-
-    top_tilt: float
-    """[rad]."""
-
-    saturated_share: float
-    """Share of rotor commands at a limit."""
+    rms_position_error: float  # Root mean square of the distance to the reference [m]
+    top_speed: float  # [m/s]
+    top_tilt: float  # [rad]
+    saturated_share: float  # Share of rotor commands at a limit
 
 
 def summarise(record: Record, reference: Reference, *, declared: Vehicle, first: int) -> list[Summary]:

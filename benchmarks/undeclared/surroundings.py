@@ -29,20 +29,11 @@ FULL_VOLTAGE, VOLTAGE_PER_CHARGE, RESISTANCE, EFFICIENCY = 16.7, 2.0 / 3700.0, 0
 class Surroundings:
     """Series over the samples of all flights; None: not there."""
 
-    gust: Array | None = None
-    """Velocity of the air beside the steady wind [m/s], world, (T, F, 3)."""
-
-    other: Array | None = None
-    """Position of the other vehicle [m], world, (T, F, 3)."""
-
-    ceiling: float | None = None
-    """Height [m]."""
-
-    rate: float = 400.0
-    """Samples per second [Hz]."""
-
-    failures: Failures | None = None
-    """What fails in flight."""
+    gust: Array | None = None  # Velocity of the air beside the steady wind [m/s], world, (T, F, 3)
+    other: Array | None = None  # Position of the other vehicle [m], world, (T, F, 3)
+    ceiling: float | None = None  # Height [m]
+    rate: float = 400.0  # Samples per second [Hz]
+    failures: Failures | None = None  # What fails in flight
 
 
 def gusts(std: float, corr_time: float, count: int, rate: float, rng: np.random.Generator) -> Array:

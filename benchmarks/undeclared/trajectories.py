@@ -26,40 +26,22 @@ LOWEST_HEIGHT = 5.0
 class Shape:
     """What a family draws."""
 
-    path: Array
-    """Position, world, (T, 3); scaled afterwards."""
-
-    yaw: Array
-    """Heading [rad], (T,)."""
-
-    excite: Array
-    """Added to the commands: angular rate [rad/s] (3) and vertical acceleration [m/s²] (1), body, (T, 4)."""
+    path: Array  # Position, world, (T, 3); scaled afterwards
+    yaw: Array  # Heading [rad], (T,)
+    excite: Array  # Added to the commands: angular rate [rad/s] (3) and vertical acceleration [m/s²] (1), body, (T, 4)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reference:
     """What the autopilot follows; the first axis is time."""
 
-    position: Array
-    """[m], world, (T, 3)."""
-
-    velocity: Array
-    """[m/s], world, (T, 3)."""
-
-    acceleration: Array
-    """[m/s²], world, (T, 3)."""
-
-    jerk: Array
-    """[m/s³], world, (T, 3)."""
-
-    yaw: Array
-    """[rad], not wrapped, (T,)."""
-
-    yaw_rate: Array
-    """[rad/s], (T,)."""
-
-    excite: Array
-    """As in Shape, (T, 4)."""
+    position: Array  # [m], world, (T, 3)
+    velocity: Array  # [m/s], world, (T, 3)
+    acceleration: Array  # [m/s²], world, (T, 3)
+    jerk: Array  # [m/s³], world, (T, 3)
+    yaw: Array  # [rad], not wrapped, (T,)
+    yaw_rate: Array  # [rad/s], (T,)
+    excite: Array  # As in Shape, (T, 4)
 
 
 def smooth_step(x: Array) -> Array:

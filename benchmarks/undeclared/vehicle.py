@@ -26,50 +26,21 @@ SOURCE = "invented for this benchmark: a 0.75 kg X quadrotor with 5 inch propell
 class Vehicle:
     """Mass, rotors and surrounding air of one quadrotor; vectors are in body axes, except ``wind_world``."""
 
-    mass: float
-    """Mass [kg], > 0."""
-
-    inertia: Array
-    """Inertia about the centre of mass [kg m²], symmetric positive definite, (3, 3)."""
-
-    com: Array
-    """Centre of mass relative to the body origin [m], (3,)."""
-
-    rotor_position: Array
-    """Rotor hubs relative to the body origin [m], (4, 3)."""
-
-    rotor_axis: Array
-    """Direction of positive thrust, unit, (4, 3)."""
-
-    rotor_spin: Array
-    """+1 turns positively about its axis, -1 negatively, (4,)."""
-
-    thrust_coeff: Array
-    """Thrust per squared speed of each rotor [N s²/rad²], > 0, (4,)."""
-
-    torque_ratio: float
-    """Drag torque per thrust [m], >= 0."""
-
-    tau_up: float
-    """Lag of the rotor speed while it rises [s], > 0."""
-
-    tau_down: float
-    """Lag of the rotor speed while it falls [s], > 0."""
-
-    thrust_range: tuple[float, float]
-    """Lowest and highest thrust that is commanded of one rotor [N]."""
-
-    linear_drag: Array
-    """Force per airspeed along each body axis [N s/m], (3,)."""
-
-    quadratic_drag: Array
-    """Force per |airspeed| times airspeed along each body axis [N s²/m²], (3,)."""
-
-    wind_world: Array
-    """Velocity of the air [m/s], world, (3,)."""
-
-    extra: Extra = NEUTRAL
-    """What only some hidden effects need."""
+    mass: float  # Mass [kg], > 0
+    inertia: Array  # Inertia about the centre of mass [kg m²], symmetric positive definite, (3, 3)
+    com: Array  # Centre of mass relative to the body origin [m], (3,)
+    rotor_position: Array  # Rotor hubs relative to the body origin [m], (4, 3)
+    rotor_axis: Array  # Direction of positive thrust, unit, (4, 3)
+    rotor_spin: Array  # +1 turns positively about its axis, -1 negatively, (4,)
+    thrust_coeff: Array  # Thrust per squared speed of each rotor [N s²/rad²], > 0, (4,)
+    torque_ratio: float  # Drag torque per thrust [m], >= 0
+    tau_up: float  # Lag of the rotor speed while it rises [s], > 0
+    tau_down: float  # Lag of the rotor speed while it falls [s], > 0
+    thrust_range: tuple[float, float]  # Lowest and highest thrust that is commanded of one rotor [N]
+    linear_drag: Array  # Force per airspeed along each body axis [N s/m], (3,)
+    quadratic_drag: Array  # Force per |airspeed| times airspeed along each body axis [N s²/m²], (3,)
+    wind_world: Array  # Velocity of the air [m/s], world, (3,)
+    extra: Extra = NEUTRAL  # What only some hidden effects need
 
     def __post_init__(self) -> None:
         positive = {"mass": self.mass, "tau_up": self.tau_up, "tau_down": self.tau_down}

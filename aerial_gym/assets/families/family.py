@@ -52,14 +52,9 @@ class Draw:
 class Family:
     """A rule that makes shapes."""
 
-    summary: str
-    """One line for people who choose a family."""
-
-    ranges: Mapping[str, Range]
-    """Lowest and highest value of every number; lengths in metres, angles in radians."""
-
-    make: Callable[[Draw], ShapeCfg]
-    """The rule."""
+    summary: str  # One line for people who choose a family
+    ranges: Mapping[str, Range]  # Lowest and highest value of every number; lengths in metres, angles in radians
+    make: Callable[[Draw], ShapeCfg]  # The rule
 
     def shapes(self, cfg: FamilyCfg) -> tuple[ShapeCfg, ...]:
         """Return the variants that a configuration asks for.

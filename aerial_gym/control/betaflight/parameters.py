@@ -27,38 +27,17 @@ AXES = ("roll", "pitch", "yaw")
 class BetaflightGains:
     """Rows of all environments, (E, 3) or (E, 1). Corrections are shares of the motors' range."""
 
-    rate: Tensor
-    """Per rate error [s/rad]."""
-
-    integral: Tensor
-    """Per integrated rate error [1/rad]."""
-
-    derivative: Tensor
-    """Per measured angular acceleration [s²/rad]."""
-
-    forward: Tensor
-    """Per slope of the wanted rate [s²/rad]."""
-
-    limit: Tensor
-    """Of the correction."""
-
-    integral_limit: Tensor
-    """Of the integral; 0 about an axis about which the rotors give no torque."""
-
-    mix: Tensor
-    """Factor on the columns of the allocation that makes the largest correction of a motor 1."""
-
-    weight: Tensor
-    """Of the vehicle [N]."""
-
-    center: Tensor
-    """Rate per stick about the centre [rad/s]."""
-
-    largest: Tensor
-    """Rate at full stick [rad/s]."""
-
-    expo: Tensor
-    """[-]."""
+    rate: Tensor  # Per rate error [s/rad]
+    integral: Tensor  # Per integrated rate error [1/rad]
+    derivative: Tensor  # Per measured angular acceleration [s²/rad]
+    forward: Tensor  # Per slope of the wanted rate [s²/rad]
+    limit: Tensor  # Of the correction
+    integral_limit: Tensor  # Of the integral; 0 about an axis about which the rotors give no torque
+    mix: Tensor  # Factor on the columns of the allocation that makes the largest correction of a motor 1
+    weight: Tensor  # Of the vehicle [N]
+    center: Tensor  # Rate per stick about the centre [rad/s]
+    largest: Tensor  # Rate at full stick [rad/s]
+    expo: Tensor  # [-]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,8 +46,7 @@ class BetaflightFilters:
 
     gyro: tuple[Biquad | None, Biquad | None]
     derivative: tuple[Biquad | None, Biquad | None]
-    relax: float
-    """Share of the new value that the low-pass of I-term relax takes in."""
+    relax: float  # Share of the new value that the low-pass of I-term relax takes in
 
 
 def require_fit(law: str, vehicle: Vehicle, allocation: Allocation) -> None:

@@ -24,38 +24,17 @@ from aerial_gym.physics.state import BodyState
 class BrescianiniGains:
     """Gains of every environment, from the parameters of the Crazyflie; vectors are about x, y, z."""
 
-    mass: Tensor
-    """[kg], (E, 1)."""
-
-    inertia: Tensor
-    """[kg m²], (E, 3, 3)."""
-
-    position: Tensor
-    """``1 / tau²`` [1/s²], (E, 3)."""
-
-    velocity: Tensor
-    """``2 zeta / tau`` [1/s], (E, 3)."""
-
-    attitude: Tensor
-    """``1 / tau_rp`` [1/s], (E, 1)."""
-
-    mixing: Tensor
-    """``mixing_factor``: share of the heading error, 0 to 1, (E, 1)."""
-
-    rate: Tensor
-    """``1 / tau_rp_rate``, ``1 / tau_yaw_rate`` [1/s], (E, 3)."""
-
-    least_thrust: Tensor
-    """``coll_min``: per mass [m/s²], (E, 1)."""
-
-    most_thrust: Tensor
-    """``coll_max``: per mass [m/s²], (E, 1)."""
-
-    tilt_rate_limit: Tensor
-    """``omega_rp_max`` [rad/s], (E, 1)."""
-
-    yaw_rate_limit: Tensor
-    """``omega_yaw_max`` [rad/s], (E, 1)."""
+    mass: Tensor  # [kg], (E, 1)
+    inertia: Tensor  # [kg m²], (E, 3, 3)
+    position: Tensor  # `1 / tau²` [1/s²], (E, 3)
+    velocity: Tensor  # `2 zeta / tau` [1/s], (E, 3)
+    attitude: Tensor  # `1 / tau_rp` [1/s], (E, 1)
+    mixing: Tensor  # `mixing_factor`: share of the heading error, 0 to 1, (E, 1)
+    rate: Tensor  # `1 / tau_rp_rate`, `1 / tau_yaw_rate` [1/s], (E, 3)
+    least_thrust: Tensor  # `coll_min`: per mass [m/s²], (E, 1)
+    most_thrust: Tensor  # `coll_max`: per mass [m/s²], (E, 1)
+    tilt_rate_limit: Tensor  # `omega_rp_max` [rad/s], (E, 1)
+    yaw_rate_limit: Tensor  # `omega_yaw_max` [rad/s], (E, 1)
 
 
 def lean(

@@ -31,20 +31,11 @@ WIDTH = 6
 class IntegralGains:
     """Gains of every environment."""
 
-    lee: LeeGains
-    """Of the law without integrals."""
-
-    position_integral: Tensor
-    """``Kpos_I`` [1/s³], (E, 3)."""
-
-    position_limit: Tensor
-    """``Kpos_I_limit`` [m s], (E, 3)."""
-
-    attitude_integral: Tensor
-    """``KI`` [N m/(rad s)], (E, 3)."""
-
-    attitude_limit: Tensor
-    """``KI_limit`` [rad s], (E, 3)."""
+    lee: LeeGains  # Of the law without integrals
+    position_integral: Tensor  # `Kpos_I` [1/s³], (E, 3)
+    position_limit: Tensor  # `Kpos_I_limit` [m s], (E, 3)
+    attitude_integral: Tensor  # `KI` [N m/(rad s)], (E, 3)
+    attitude_limit: Tensor  # `KI_limit` [rad s], (E, 3)
 
 
 def geometric_control(

@@ -25,58 +25,28 @@ WIDTH = 8
 class MellingerGains:
     """Gains of every environment, by the parameters of the Crazyflie; vectors are about x, y, z."""
 
-    mass: Tensor
-    """[kg], (E, 1)."""
-
-    mass_thrust: Tensor
-    """``massThrust``: counts per newton, (E, 1)."""
-
-    position: Tensor
-    """``kp_xy``, ``kp_z`` [N/m], (E, 3)."""
-
-    velocity: Tensor
-    """``kd_xy``, ``kd_z`` [N s/m], (E, 3)."""
-
-    position_integral: Tensor
-    """``ki_xy``, ``ki_z`` [N/(m s)], (E, 3)."""
-
-    position_limit: Tensor
-    """``i_range_xy``, ``i_range_z`` [m s], (E, 3)."""
-
-    attitude: Tensor
-    """``kR_xy``, ``kR_z`` [counts], (E, 3)."""
-
-    rate: Tensor
-    """``kw_xy``, ``kw_z`` [counts s/rad], (E, 3)."""
-
-    attitude_integral: Tensor
-    """``ki_m_xy``, ``ki_m_z`` [counts/s], (E, 3)."""
-
-    attitude_limit: Tensor
-    """``i_range_m_xy``, ``i_range_m_z`` [s], (E, 3)."""
-
-    rate_difference: Tensor
-    """``kd_omega_rp`` [counts s²/rad], of roll and pitch, (E, 1)."""
+    mass: Tensor  # [kg], (E, 1)
+    mass_thrust: Tensor  # `massThrust`: counts per newton, (E, 1)
+    position: Tensor  # `kp_xy`, `kp_z` [N/m], (E, 3)
+    velocity: Tensor  # `kd_xy`, `kd_z` [N s/m], (E, 3)
+    position_integral: Tensor  # `ki_xy`, `ki_z` [N/(m s)], (E, 3)
+    position_limit: Tensor  # `i_range_xy`, `i_range_z` [m s], (E, 3)
+    attitude: Tensor  # `kR_xy`, `kR_z` [counts], (E, 3)
+    rate: Tensor  # `kw_xy`, `kw_z` [counts s/rad], (E, 3)
+    attitude_integral: Tensor  # `ki_m_xy`, `ki_m_z` [counts/s], (E, 3)
+    attitude_limit: Tensor  # `i_range_m_xy`, `i_range_m_z` [s], (E, 3)
+    rate_difference: Tensor  # `kd_omega_rp` [counts s²/rad], of roll and pitch, (E, 1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlatTarget:
     """What is to be followed."""
 
-    position: Tensor
-    """World [m], (E, 3)."""
-
-    velocity: Tensor
-    """World [m/s], (E, 3)."""
-
-    acceleration: Tensor
-    """World [m/s²], (E, 3)."""
-
-    yaw: Tensor
-    """[rad], (E,)."""
-
-    rates: Tensor
-    """Body [rad/s], (E, 3)."""
+    position: Tensor  # World [m], (E, 3)
+    velocity: Tensor  # World [m/s], (E, 3)
+    acceleration: Tensor  # World [m/s²], (E, 3)
+    yaw: Tensor  # [rad], (E,)
+    rates: Tensor  # Body [rad/s], (E, 3)
 
 
 def mellinger_control(

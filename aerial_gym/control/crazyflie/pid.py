@@ -40,17 +40,10 @@ INNER_NUMBERS = 12
 class PidLevel:
     """Three PID controllers side by side."""
 
-    proportional: Tensor
-    """(E, 3)."""
-
-    integral: Tensor
-    """[1/s], (E, 3)."""
-
-    derivative: Tensor
-    """[s], (E, 3)."""
-
-    limit: Tensor
-    """Of the integrated error, (E, 3); infinite where there is none."""
+    proportional: Tensor  # (E, 3)
+    integral: Tensor  # [1/s], (E, 3)
+    derivative: Tensor  # [s], (E, 3)
+    limit: Tensor  # Of the integrated error, (E, 3); infinite where there is none
 
     def run(self, error: Tensor, change: Tensor, integral: Tensor, dt: float) -> tuple[Tensor, Tensor]:
         """Return the output (E, 3) for an error and what the measured value changed by, and the integrated error after it."""
@@ -62,29 +55,14 @@ class PidLevel:
 class PidGains:
     """The cascade, with the limits between its levels."""
 
-    position: PidLevel
-    """From position [m] to velocity [m/s], in the frame of the heading."""
-
-    velocity: PidLevel
-    """From velocity [m/s] to pitch and roll [deg] and to vertical output."""
-
-    attitude: PidLevel
-    """From roll, pitch, yaw [deg] to rates [deg/s]."""
-
-    rates: PidLevel
-    """From rates [deg/s] to moments [counts]."""
-
-    most_velocity: Tensor
-    """[m/s], (E, 3)."""
-
-    most_tilt: Tensor
-    """Of roll and of pitch [deg], (E, 1)."""
-
-    thrust_base: Tensor
-    """That hovers [counts], (E, 1)."""
-
-    least_thrust: Tensor
-    """[counts], (E, 1)."""
+    position: PidLevel  # From position [m] to velocity [m/s], in the frame of the heading
+    velocity: PidLevel  # From velocity [m/s] to pitch and roll [deg] and to vertical output
+    attitude: PidLevel  # From roll, pitch, yaw [deg] to rates [deg/s]
+    rates: PidLevel  # From rates [deg/s] to moments [counts]
+    most_velocity: Tensor  # [m/s], (E, 3)
+    most_tilt: Tensor  # Of roll and of pitch [deg], (E, 1)
+    thrust_base: Tensor  # That hovers [counts], (E, 1)
+    least_thrust: Tensor  # [counts], (E, 1)
 
 
 def lean(state: BodyState, position: Tensor, kept: Tensor, gains: PidGains, *, dt: float) -> tuple[Tensor, Tensor]:

@@ -31,11 +31,8 @@ YAW_MARGIN = 0.15
 class Mixed(NamedTuple):
     """Motor signals, and what they do not give."""
 
-    signal: Tensor
-    """Share of the full thrust, (E, R)."""
-
-    short: Tensor
-    """Sign of the torque about each axis that is not given, (E, 3); 0 where all is."""
+    signal: Tensor  # Share of the full thrust, (E, R)
+    short: Tensor  # Sign of the torque about each axis that is not given, (E, 3); 0 where all is
 
 
 def mix(columns: Tensor, wanted: Tensor, low: Tensor, *, airmode: int) -> Mixed:

@@ -40,58 +40,28 @@ NOTCHES = ("IMU_GYRO_NF0", "IMU_GYRO_NF1")
 class Px4Gains:
     """All parameters of the cascade, (E, 3) or (E, 1) each."""
 
-    rate: Tensor
-    """MC_*RATE_P times K [s/rad]."""
-
-    rate_integral: Tensor
-    """MC_*RATE_I times K [1/rad]."""
-
-    rate_derivative: Tensor
-    """MC_*RATE_D times K [s²/rad]."""
-
-    rate_forward: Tensor
-    """MC_*RATE_FF [s/rad]."""
-
-    integral_limit: Tensor
-    """MC_RR_INT_LIM and its like [-]."""
-
-    attitude: Tensor
-    """MC_ROLL_P and its like [1/s]."""
-
-    rate_limit: Tensor
-    """MC_*RATE_MAX [rad/s]."""
-
-    yaw_weight: Tensor
-    """MC_YAW_WEIGHT [-]."""
-
-    unit_torque: Tensor
-    """What a normalised torque of 1 stands for [N m]."""
-
-    unit_thrust: Tensor
-    """What a normalised thrust of 1 stands for [N]."""
-
-    position: PositionGains
-    """Of position and velocity."""
+    rate: Tensor  # MC_*RATE_P times K [s/rad]
+    rate_integral: Tensor  # MC_*RATE_I times K [1/rad]
+    rate_derivative: Tensor  # MC_*RATE_D times K [s²/rad]
+    rate_forward: Tensor  # MC_*RATE_FF [s/rad]
+    integral_limit: Tensor  # MC_RR_INT_LIM and its like [-]
+    attitude: Tensor  # MC_ROLL_P and its like [1/s]
+    rate_limit: Tensor  # MC_*RATE_MAX [rad/s]
+    yaw_weight: Tensor  # MC_YAW_WEIGHT [-]
+    unit_torque: Tensor  # What a normalised torque of 1 stands for [N m]
+    unit_thrust: Tensor  # What a normalised thrust of 1 stands for [N]
+    position: PositionGains  # Of position and velocity
 
 
 @dataclass(frozen=True, kw_only=True)
 class Px4Filters:
     """Filters of the cascade, at the rates at which they run."""
 
-    notches: tuple[Biquad, ...]
-    """IMU_GYRO_NF0_FRQ and IMU_GYRO_NF1_FRQ, before the low-pass."""
-
-    gyro: Biquad | None
-    """IMU_GYRO_CUTOFF."""
-
-    ang_acc: float
-    """IMU_DGYRO_CUTOFF, as the share of the new value."""
-
-    yaw_torque: float
-    """MC_YAW_TQ_CUTOFF, likewise."""
-
-    acceleration: float
-    """MPC_VELD_LP, likewise."""
+    notches: tuple[Biquad, ...]  # IMU_GYRO_NF0_FRQ and IMU_GYRO_NF1_FRQ, before the low-pass
+    gyro: Biquad | None  # IMU_GYRO_CUTOFF
+    ang_acc: float  # IMU_DGYRO_CUTOFF, as the share of the new value
+    yaw_torque: float  # MC_YAW_TQ_CUTOFF, likewise
+    acceleration: float  # MPC_VELD_LP, likewise
 
 
 def unit_wrench(allocation: Allocation) -> tuple[Tensor, float]:

@@ -15,44 +15,19 @@ from torch import Tensor
 class PositionGains:
     """Gains and limits of position and velocity control."""
 
-    position: Tensor
-    """MPC_XY_P, MPC_Z_P [1/s], (E, 3)."""
-
-    velocity: Tensor
-    """MPC_XY_VEL_P_ACC, MPC_Z_VEL_P_ACC [1/s], (E, 3)."""
-
-    integral: Tensor
-    """MPC_XY_VEL_I_ACC, MPC_Z_VEL_I_ACC [1/s²], (E, 3)."""
-
-    derivative: Tensor
-    """MPC_XY_VEL_D_ACC, MPC_Z_VEL_D_ACC [-], (E, 3)."""
-
-    speed: Tensor
-    """MPC_XY_VEL_MAX [m/s], (E, 1), as all that follow."""
-
-    up: Tensor
-    """MPC_Z_VEL_MAX_UP [m/s]."""
-
-    down: Tensor
-    """MPC_Z_VEL_MAX_DN [m/s]."""
-
-    least_thrust: Tensor
-    """MPC_THR_MIN [-]."""
-
-    most_thrust: Tensor
-    """MPC_THR_MAX [-]."""
-
-    margin: Tensor
-    """MPC_THR_XY_MARG [-]."""
-
-    tilt: Tensor
-    """MPC_TILTMAX_AIR [rad]."""
-
-    hover: Tensor
-    """MPC_THR_HOVER [-]."""
-
-    gravity: Tensor
-    """Which the hover thrust carries [m/s²]."""
+    position: Tensor  # MPC_XY_P, MPC_Z_P [1/s], (E, 3)
+    velocity: Tensor  # MPC_XY_VEL_P_ACC, MPC_Z_VEL_P_ACC [1/s], (E, 3)
+    integral: Tensor  # MPC_XY_VEL_I_ACC, MPC_Z_VEL_I_ACC [1/s²], (E, 3)
+    derivative: Tensor  # MPC_XY_VEL_D_ACC, MPC_Z_VEL_D_ACC [-], (E, 3)
+    speed: Tensor  # MPC_XY_VEL_MAX [m/s], (E, 1), as all that follow
+    up: Tensor  # MPC_Z_VEL_MAX_UP [m/s]
+    down: Tensor  # MPC_Z_VEL_MAX_DN [m/s]
+    least_thrust: Tensor  # MPC_THR_MIN [-]
+    most_thrust: Tensor  # MPC_THR_MAX [-]
+    margin: Tensor  # MPC_THR_XY_MARG [-]
+    tilt: Tensor  # MPC_TILTMAX_AIR [rad]
+    hover: Tensor  # MPC_THR_HOVER [-]
+    gravity: Tensor  # Which the hover thrust carries [m/s²]
 
 
 def limited_velocity(velocity: Tensor, gains: PositionGains) -> Tensor:

@@ -25,31 +25,19 @@ _kernels: dict[str, wp.Kernel] = {}
 class Made:
     """An input that the kernel makes for itself in each of its rows: straight lines, so that its numbers come side by side."""
 
-    lines: tuple[str, ...]
-    """Warp code that makes the numbers ``made_0``, ``made_1``, ... of ``row`` from ``given``."""
-
-    names: Mapping[str, Any]
-    """What it calls by name, besides ``wp``."""
-
-    given_type: Any
-    """The ``wp.struct`` of ``given``."""
-
-    given: Any
-    """Its value; what it points to must be kept alive."""
+    lines: tuple[str, ...]  # Warp code that makes the numbers `made_0`, `made_1`, ... of `row` from `given`
+    names: Mapping[str, Any]  # What it calls by name, besides `wp`
+    given_type: Any  # The `wp.struct` of `given`
+    given: Any  # Its value; what it points to must be kept alive
 
 
 @dataclass(frozen=True, kw_only=True)
 class RowWork:
     """What can be done to a row by a thread of its own, in whatever kernel."""
 
-    function: wp.Function
-    """``wp.func`` (row: int, given: the struct)."""
-
-    given_type: Any
-    """The ``wp.struct``."""
-
-    given: Any
-    """Its value; what it points to must be kept alive."""
+    function: wp.Function  # `wp.func` (row: int, given: the struct)
+    given_type: Any  # The `wp.struct`
+    given: Any  # Its value; what it points to must be kept alive
 
 
 class RowFunction:

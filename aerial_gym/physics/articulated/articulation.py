@@ -27,62 +27,25 @@ UNBOUNDED = 1e9
 class Articulation:
     """What of a vehicle is not rigid; shared by all environments."""
 
-    tree: Tree
-    """Frames of links are along those of the base in the reference pose."""
-
-    origins: Tensor
-    """Origins of the links from the body origin [m], body axes, reference pose, (L, 3)."""
-
-    link_mass: Tensor
-    """Of the links but the base [kg], (D,)."""
-
-    link_com: Tensor
-    """Centres of mass of these from the body origin [m], body axes, reference pose, (D, 3)."""
-
-    link_inertia: Tensor
-    """About these [kg m²], (D, 3, 3)."""
-
-    rotor_links: tuple[int, ...]
-    """Link of each rotor, R of them."""
-
-    reference: Tensor
-    """Coordinates in the reference pose [rad] or [m], (D,)."""
-
-    spring: Spring
-    """Passive law of every joint, tensors (1, D)."""
-
-    friction: Tensor
-    """Dry friction of every joint [N m], (1, D)."""
-
-    rubs: bool
-    """Whether any has some."""
-
-    ends: Limits
-    """Soft ends of every joint, tensors (1, D)."""
-
-    creep_stiffness: Tensor
-    """Of the elements that creep, (N, D); zero where a joint has fewer than N of them."""
-
-    creep_time: Tensor
-    """Their times [s], (N, D)."""
-
-    drive_gains: Tensor
-    """Stiffness, damping and largest effort of each drive, (C, 3)."""
-
-    driven: tuple[int, ...]
-    """Joints that have one, C of them."""
-
-    modes: tuple[str, ...]
-    """What their commands are, of ``DRIVE_MODES``, C of them."""
-
-    command_low: Tensor
-    """Lowest commands, (C,)."""
-
-    command_high: Tensor
-    """Highest commands, (C,)."""
-
-    names: tuple[str, ...]
-    """Of the joints, D of them."""
+    tree: Tree  # Frames of links are along those of the base in the reference pose
+    origins: Tensor  # Origins of the links from the body origin [m], body axes, reference pose, (L, 3)
+    link_mass: Tensor  # Of the links but the base [kg], (D,)
+    link_com: Tensor  # Centres of mass of these from the body origin [m], body axes, reference pose, (D, 3)
+    link_inertia: Tensor  # About these [kg m²], (D, 3, 3)
+    rotor_links: tuple[int, ...]  # Link of each rotor, R of them
+    reference: Tensor  # Coordinates in the reference pose [rad] or [m], (D,)
+    spring: Spring  # Passive law of every joint, tensors (1, D)
+    friction: Tensor  # Dry friction of every joint [N m], (1, D)
+    rubs: bool  # Whether any has some
+    ends: Limits  # Soft ends of every joint, tensors (1, D)
+    creep_stiffness: Tensor  # Of the elements that creep, (N, D); zero where a joint has fewer than N of them
+    creep_time: Tensor  # Their times [s], (N, D)
+    drive_gains: Tensor  # Stiffness, damping and largest effort of each drive, (C, 3)
+    driven: tuple[int, ...]  # Joints that have one, C of them
+    modes: tuple[str, ...]  # What their commands are, of `DRIVE_MODES`, C of them
+    command_low: Tensor  # Lowest commands, (C,)
+    command_high: Tensor  # Highest commands, (C,)
+    names: tuple[str, ...]  # Of the joints, D of them
 
     @property
     def num_joints(self) -> int:

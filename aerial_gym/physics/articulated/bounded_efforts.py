@@ -38,14 +38,9 @@ EffortStep = Callable[[Effort], TreeState]
 class Bounded:
     """What bounded laws do through a step, each tensor (K, E, D)."""
 
-    side: Tensor
-    """1 or -1 where a law is at its limit, by the sign of its effort; else 0."""
-
-    effort: Tensor
-    """Effort in rows where ``is_held`` is true [N m] or [N]."""
-
-    is_held: Tensor
-    """Whether ``effort`` is applied as it is, in place of the law or its limit, (1, E, 1)."""
+    side: Tensor  # 1 or -1 where a law is at its limit, by the sign of its effort; else 0
+    effort: Tensor  # Effort in rows where `is_held` is true [N m] or [N]
+    is_held: Tensor  # Whether `effort` is applied as it is, in place of the law or its limit, (1, E, 1)
 
     def effort_at(self, laws: Sequence[Drive], position: Tensor, rate: Tensor) -> Sequence[Effort]:
         """Return the efforts of the laws from a motion (E, D) on."""
@@ -66,34 +61,20 @@ class Bounded:
 class _Point:
     """Rates at the end of a step and the efforts that lead to them."""
 
-    rate: Tensor
-    """[rad/s] or [m/s], (E, D)."""
-
-    wanted: Tensor
-    """What each law asks for there, beyond its limit or not, (K, E, D)."""
-
-    effort: Tensor
-    """What all laws together apply, (E, D)."""
+    rate: Tensor  # [rad/s] or [m/s], (E, D)
+    wanted: Tensor  # What each law asks for there, beyond its limit or not, (K, E, D)
+    effort: Tensor  # What all laws together apply, (E, D)
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoundedProblem:
     """Bounded laws of joints and the steps that they act in."""
 
-    laws: Sequence[Drive]
-    """Drives and dry friction, K of them."""
-
-    friction: Sequence[bool]
-    """Which of them are dry friction."""
-
-    acts: Effort
-    """Efforts of the other laws at the start of the step."""
-
-    state: TreeState
-    """Motion at the start of the step."""
-
-    rounds: int = ROUNDS
-    """Rounds of Newton's method, at most."""
+    laws: Sequence[Drive]  # Drives and dry friction, K of them
+    friction: Sequence[bool]  # Which of them are dry friction
+    acts: Effort  # Efforts of the other laws at the start of the step
+    state: TreeState  # Motion at the start of the step
+    rounds: int = ROUNDS  # Rounds of Newton's method, at most
 
     @cached_property
     def limit(self) -> Tensor:

@@ -37,14 +37,9 @@ class Equations:
 class Accelerations:
     """How a tree accelerates."""
 
-    lin_acc: Tensor
-    """Of the base's origin [m/s²], world, (E, 3)."""
-
-    ang_acc: Tensor
-    """Of the base [rad/s²], base axes, (E, 3)."""
-
-    joint_acc: Tensor
-    """[rad/s²] or [m/s²], (E, D)."""
+    lin_acc: Tensor  # Of the base's origin [m/s²], world, (E, 3)
+    ang_acc: Tensor  # Of the base [rad/s²], base axes, (E, 3)
+    joint_acc: Tensor  # [rad/s²] or [m/s²], (E, D)
 
 
 def equations(

@@ -22,14 +22,9 @@ STICK_RATE = 1e-3
 class Effort:
     """What acts on joints."""
 
-    value: Tensor
-    """[N m] or [N], (E, D)."""
-
-    stiffness: Tensor
-    """By how much it falls per position, (E, D)."""
-
-    damping: Tensor
-    """By how much it falls per rate, (E, D)."""
+    value: Tensor  # [N m] or [N], (E, D)
+    stiffness: Tensor  # By how much it falls per position, (E, D)
+    damping: Tensor  # By how much it falls per rate, (E, D)
 
     def __add__(self, other: "Effort") -> "Effort":
         """Return both together."""
@@ -52,20 +47,11 @@ class JointLaw(Protocol):
 class Spring:
     """``p - (k + k2 |q - q0|) (q - q0) - c q'``: a spring, linear and quadratic, with a damper; tensors (E, D) or (1, D)."""
 
-    stiffness: Tensor
-    """k [N m/rad]."""
-
-    quadratic: Tensor
-    """k2 [N m/rad²]."""
-
-    damping: Tensor
-    """c [N m s/rad]."""
-
-    rest: Tensor
-    """q0 [rad]."""
-
-    preload: Tensor
-    """p, what it holds at rest [N m]."""
+    stiffness: Tensor  # k [N m/rad]
+    quadratic: Tensor  # k2 [N m/rad²]
+    damping: Tensor  # c [N m s/rad]
+    rest: Tensor  # q0 [rad]
+    preload: Tensor  # p, what it holds at rest [N m]
 
     def effort_at(self, position: Tensor, rate: Tensor) -> Effort:
         """Return the effort of spring and damper."""
@@ -87,11 +73,8 @@ class Creep:
         Generalised Maxwell model, Tschoegl (1989), The Phenomenological Theory of Linear Viscoelastic Behavior, section 3.4.
     """
 
-    stiffness: Tensor
-    """k_i [N m/rad], (1, N, D); zero where a joint has fewer."""
-
-    crept: Tensor
-    """z_i [rad], (E, N, D)."""
+    stiffness: Tensor  # k_i [N m/rad], (1, N, D); zero where a joint has fewer
+    crept: Tensor  # z_i [rad], (E, N, D)
 
     def effort_at(self, position: Tensor, rate: Tensor) -> Effort:
         """Return the effort of all elements."""
@@ -106,23 +89,12 @@ class Creep:
 class Drive:
     """A drive to a position and a rate, ``k (q_c - q) + c (q'_c - q') + f``, within what it can; tensors (E, D) or (1, D)."""
 
-    stiffness: Tensor
-    """k; zero for a drive to a rate."""
-
-    damping: Tensor
-    """c."""
-
-    position: Tensor
-    """q_c."""
-
-    rate: Tensor
-    """q'_c."""
-
-    effort: Tensor
-    """f, asked for as it is."""
-
-    limit: Tensor
-    """Largest effort."""
+    stiffness: Tensor  # k; zero for a drive to a rate
+    damping: Tensor  # c
+    position: Tensor  # q_c
+    rate: Tensor  # q'_c
+    effort: Tensor  # f, asked for as it is
+    limit: Tensor  # Largest effort
 
     def wanted(self, position: Tensor, rate: Tensor) -> Tensor:
         """Return the effort that is asked for, beyond the limit or not."""
@@ -163,11 +135,8 @@ class Limits:
     low: Tensor
     high: Tensor
 
-    stiffness: Tensor
-    """[N m/rad]."""
-
-    damping: Tensor
-    """[N m s/rad]."""
+    stiffness: Tensor  # [N m/rad]
+    damping: Tensor  # [N m s/rad]
 
     def effort_at(self, position: Tensor, rate: Tensor) -> Effort:
         """Return the effort beyond the ends."""

@@ -23,14 +23,9 @@ from aerial_gym.physics.articulated.tree import Links, Tree
 class LinkDamping:
     """What damps each link at the start of a step; all in axes of the link."""
 
-    velocity: Tensor
-    """Of the centres of mass through the air [m/s], and angular velocity [rad/s], (E, L, 6)."""
-
-    damping: Tensor
-    """D [N s/m, N m s/rad], (E, L, 6)."""
-
-    turned_wind: Tensor
-    """``w x wind`` [m/s²], (E, L, 3)."""
+    velocity: Tensor  # Of the centres of mass through the air [m/s], and angular velocity [rad/s], (E, L, 6)
+    damping: Tensor  # D [N s/m, N m s/rad], (E, L, 6)
+    turned_wind: Tensor  # `w x wind` [m/s²], (E, L, 3)
 
     def held(self, links: Links) -> Tensor:
         """Return force [N] at the origin of each link and torque [N m], (E, L, 6), as they are at the start of the step."""

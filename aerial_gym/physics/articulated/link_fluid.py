@@ -23,11 +23,8 @@ from aerial_gym.physics.articulated.tree import Tree
 class LinkFluid:
     """What fluid adds to each link."""
 
-    added: Tensor
-    """Diagonals of A [kg] and B [kg m²], axes of the link, (E, L, 6)."""
-
-    wind: Tensor
-    """Velocity of the fluid [m/s], world, (E, 3)."""
+    added: Tensor  # Diagonals of A [kg] and B [kg m²], axes of the link, (E, L, 6)
+    wind: Tensor  # Velocity of the fluid [m/s], world, (E, 3)
 
 
 def entrained(tree: Tree, found: Equations, attitude: Tensor, fluid: LinkFluid) -> Equations:

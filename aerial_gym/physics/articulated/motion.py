@@ -25,20 +25,11 @@ cross = torch.linalg.cross
 class Places:
     """Where links are."""
 
-    rotation: Tensor
-    """Axes of each link to those of the base, (E, L, 3, 3)."""
-
-    origin: Tensor
-    """Of each link from that of the base [m], (E, L, 3)."""
-
-    axis: Tensor
-    """Direction of each joint, (E, D, 3)."""
-
-    com: Tensor
-    """Centre of mass of each link from the origin of the base [m], (E, L, 3)."""
-
-    inertia: Tensor
-    """Of each link about its centre of mass [kg m²], (E, L, 3, 3)."""
+    rotation: Tensor  # Axes of each link to those of the base, (E, L, 3, 3)
+    origin: Tensor  # Of each link from that of the base [m], (E, L, 3)
+    axis: Tensor  # Direction of each joint, (E, D, 3)
+    com: Tensor  # Centre of mass of each link from the origin of the base [m], (E, L, 3)
+    inertia: Tensor  # Of each link about its centre of mass [kg m²], (E, L, 3, 3)
 
 
 def place_links(tree: Tree, links: Links, joint_pos: Tensor) -> Places:
@@ -110,20 +101,11 @@ def moving(tree: Tree, places: Places, points: Tensor) -> Tensor:
 class Motion:
     """How links move, and how they accelerate where no coordinate of motion does."""
 
-    ang_vel: Tensor
-    """[rad/s], (E, L, 3)."""
-
-    lin_vel: Tensor
-    """Of the origins [m/s], (E, L, 3)."""
-
-    ang_acc: Tensor
-    """[rad/s²], (E, L, 3)."""
-
-    lin_acc: Tensor
-    """Of the origins [m/s²], (E, L, 3)."""
-
-    com_acc: Tensor
-    """Of the centres of mass [m/s²], (E, L, 3)."""
+    ang_vel: Tensor  # [rad/s], (E, L, 3)
+    lin_vel: Tensor  # Of the origins [m/s], (E, L, 3)
+    ang_acc: Tensor  # [rad/s²], (E, L, 3)
+    lin_acc: Tensor  # Of the origins [m/s²], (E, L, 3)
+    com_acc: Tensor  # Of the centres of mass [m/s²], (E, L, 3)
 
 
 def move_links(tree: Tree, places: Places, lin_vel: Tensor, ang_vel: Tensor, joint_vel: Tensor) -> Motion:

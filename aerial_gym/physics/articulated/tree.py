@@ -53,8 +53,7 @@ class Tree:
     """How links hang together; the same in all environments."""
 
     joints: tuple[Joint, ...]
-    floating: bool = True
-    """Whether the base moves; else it stands still."""
+    floating: bool = True  # Whether the base moves; else it stands still
 
     def __post_init__(self) -> None:
         """Refuse joints on links that come later, or are not there."""
@@ -91,14 +90,9 @@ class Tree:
 class Links:
     """What links weigh; the first dimension is E, or 1 where all environments have the same."""
 
-    mass: Tensor
-    """[kg], (E, L); zero for a link between the two joints of a universal one."""
-
-    com: Tensor
-    """Centres of mass [m], axes of each link, (E, L, 3)."""
-
-    inertia: Tensor
-    """About the centres of mass [kg m²], axes of each link, (E, L, 3, 3)."""
+    mass: Tensor  # [kg], (E, L); zero for a link between the two joints of a universal one
+    com: Tensor  # Centres of mass [m], axes of each link, (E, L, 3)
+    inertia: Tensor  # About the centres of mass [kg m²], axes of each link, (E, L, 3, 3)
 
     @property
     def total_mass(self) -> Tensor:
@@ -110,23 +104,12 @@ class Links:
 class TreeState:
     """Motion of the base, as of any body, and of the joints."""
 
-    position: Tensor
-    """Of the base's origin [m], world, (E, 3)."""
-
-    attitude: Tensor
-    """Base to world, xyzw, (E, 4)."""
-
-    lin_vel: Tensor
-    """Of the base's origin [m/s], world, (E, 3)."""
-
-    ang_vel: Tensor
-    """Of the base [rad/s], base axes, (E, 3)."""
-
-    joint_pos: Tensor
-    """[rad] or [m], (E, D)."""
-
-    joint_vel: Tensor
-    """[rad/s] or [m/s], (E, D)."""
+    position: Tensor  # Of the base's origin [m], world, (E, 3)
+    attitude: Tensor  # Base to world, xyzw, (E, 4)
+    lin_vel: Tensor  # Of the base's origin [m/s], world, (E, 3)
+    ang_vel: Tensor  # Of the base [rad/s], base axes, (E, 3)
+    joint_pos: Tensor  # [rad] or [m], (E, D)
+    joint_vel: Tensor  # [rad/s] or [m/s], (E, D)
 
     @classmethod
     def at_rest(cls, num_envs: int, num_joints: int, *, like: Tensor) -> "TreeState":

@@ -16,29 +16,14 @@ from aerial_gym.math.warp_functions import vector_of
 class RotorTypes:
     """Types of a vehicle with R rotors."""
 
-    vector: Any
-    """A number of each rotor."""
-
-    rows: Any
-    """Three numbers of each rotor, (R, 3)."""
-
-    allocation: Any
-    """(R, 6)."""
-
-    vehicle: Any
-    """``wp.struct`` of what the equations of motion need."""
-
-    command: Any
-    """``wp.struct`` of what leads from a control law to commanded rotor speeds."""
-
-    condition: Any
-    """``wp.struct`` of what a force may depend on: ``effects.Condition`` for one environment."""
-
-    succession: Any
-    """``wp.struct`` of two commands in one step: ``rotor_lag.Succession`` for one environment."""
-
-    moment: Any
-    """``wp.struct`` of the start of a substep: ``effects.Moment`` for one environment."""
+    vector: Any  # A number of each rotor
+    rows: Any  # Three numbers of each rotor, (R, 3)
+    allocation: Any  # (R, 6)
+    vehicle: Any  # `wp.struct` of what the equations of motion need
+    command: Any  # `wp.struct` of what leads from a control law to commanded rotor speeds
+    condition: Any  # `wp.struct` of what a force may depend on: `effects.Condition` for one environment
+    succession: Any  # `wp.struct` of two commands in one step: `rotor_lag.Succession` for one environment
+    moment: Any  # `wp.struct` of the start of a substep: `effects.Moment` for one environment
 
 
 @wp.struct

@@ -21,37 +21,21 @@ from aerial_gym.errors import ConfigError
 class FoundRotor:
     """A place where a rotor pushes."""
 
-    name: str
-    """In the file."""
-
-    position: np.ndarray
-    """Where its thrust acts [m], (3,)."""
-
-    axis: np.ndarray
-    """Direction of positive thrust, unit, (3,)."""
-
-    spin: int | None = None
-    """Sense of turning about the axis; None where the file says nothing."""
-
-    rotor: RotorCfg | None = None
-    """Its type; None where the file says nothing."""
-
-    link: str = BASE
-    """Joint whose link carries it, or the base."""
+    name: str  # In the file
+    position: np.ndarray  # Where its thrust acts [m], (3,)
+    axis: np.ndarray  # Direction of positive thrust, unit, (3,)
+    spin: int | None = None  # Sense of turning about the axis; None where the file says nothing
+    rotor: RotorCfg | None = None  # Its type; None where the file says nothing
+    link: str = BASE  # Joint whose link carries it, or the base
 
 
 @dataclass(frozen=True, kw_only=True)
 class Weightless:
     """Mass whose weight the file takes away: gravity compensation of MJCF, links without gravity of SDF and URDF."""
 
-    mass: float
-    """[kg]; below 0 where the file adds weight."""
-
-    position: np.ndarray
-    """Where its weight would act [m], (3,)."""
-
-    link: str = BASE
-    """Joint whose link it is on, or the base."""
+    mass: float  # [kg]; below 0 where the file adds weight
+    position: np.ndarray  # Where its weight would act [m], (3,)
+    link: str = BASE  # Joint whose link it is on, or the base
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -56,11 +56,8 @@ class Imported:
     """A robot, and what of its file is not in it."""
 
     robot: RobotCfg
-    notes: tuple[str, ...]
-    """What is not used, a line each, none twice."""
-
-    assumed: tuple[str, ...] = ()
-    """What is taken otherwise, or is not in the file, likewise."""
+    notes: tuple[str, ...]  # What is not used, a line each, none twice
+    assumed: tuple[str, ...] = ()  # What is taken otherwise, or is not in the file, likewise
 
     def lines(self) -> Iterator[str]:
         """Yield what is not used and what is assumed, a line each."""

@@ -28,11 +28,8 @@ class Weight:
     """A link with mass."""
 
     mass: float
-    pose: np.ndarray
-    """Frame of its centre of mass, whose axes those of its inertia are, (4, 4)."""
-
-    inertia: np.ndarray
-    """About that centre [kg m²], (3, 3)."""
+    pose: np.ndarray  # Frame of its centre of mass, whose axes those of its inertia are, (4, 4)
+    inertia: np.ndarray  # About that centre [kg m²], (3, 3)
 
 
 @dataclass(frozen=True, kw_only=True)

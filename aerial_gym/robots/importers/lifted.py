@@ -18,9 +18,7 @@ from aerial_gym.robots.importers.found import Found
 class Lift:
     """Upward forces on a vehicle."""
 
-    force: float = 0.0
-    """All of them [N]."""
-
+    force: float = 0.0  # All of them [N]
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     source: str = ""
 

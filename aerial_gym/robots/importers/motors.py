@@ -59,14 +59,9 @@ class Motor:
     number: int
     spin: int
     rotor: RotorCfg
-    silent: tuple[str, ...]
-    """Names of ``DEFAULTS`` for which the plugin's own value is taken."""
-
-    sideways_drag: float
-    """[N s²/(m rad)]."""
-
-    rolling_moment: float
-    """[N s²/rad]."""
+    silent: tuple[str, ...]  # Names of `DEFAULTS` for which the plugin's own value is taken
+    sideways_drag: float  # [N s²/(m rad)]
+    rolling_moment: float  # [N s²/rad]
 
 
 def is_motor(plugin: ElementTree.Element) -> bool:

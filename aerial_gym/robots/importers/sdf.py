@@ -163,9 +163,7 @@ class _Reader:
 
     tree: SdfTree
     from_root: np.ndarray
-    spun: set[str]
-    """Joints of motors."""
-
+    spun: set[str]  # Joints of motors
     rotors: Sequence[FoundRotor]
 
     def __post_init__(self) -> None:

@@ -52,8 +52,7 @@ class _Solid:
 
     volume: float
     center: np.ndarray
-    inertia: np.ndarray
-    """About the centre [m⁵], (3, 3)."""
+    inertia: np.ndarray  # About the centre [m⁵], (3, 3)
 
 
 def weight_of(tree: SdfTree, link: str) -> Weight:

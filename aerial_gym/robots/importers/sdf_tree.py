@@ -31,24 +31,16 @@ TRUE = ("true", "1")
 class Scope:
     """The model in which an element stands."""
 
-    prefix: str
-    """Put before the names that it uses."""
-
-    frame: str
-    """Name of the model's own frame."""
-
-    folder: Path
-    """Of the file."""
+    prefix: str  # Put before the names that it uses
+    frame: str  # Name of the model's own frame
+    folder: Path  # Of the file
 
 
 @dataclass(frozen=True)
 class _Place:
-    base: str
-    """Frame that it is placed in; none of the outermost model."""
-
+    base: str  # Frame that it is placed in; none of the outermost model
     pose: np.ndarray
-    placement: str | None = None
-    """Frame of a model that stands at the pose in place of the model's own."""
+    placement: str | None = None  # Frame of a model that stands at the pose in place of the model's own
 
 
 @dataclass

@@ -20,17 +20,10 @@ from aerial_gym.math.quaternion import wrap_angle, yaw_from_quat
 class TailServo:
     """``angle = trim + heading (yaw - psi) - rate r`` within the range of the servo."""
 
-    trim: float
-    """At which the thrust of the tail holds the drag torque of its rotor [rad]: ``tan = s k / L``."""
-
-    heading: float
-    """Angle per error of the heading [-]; errors count up to 1 rad."""
-
-    rate: float
-    """Angle per yaw rate [s]."""
-
-    limits: tuple[float, float]
-    """Of the servo [rad]."""
+    trim: float  # At which the thrust of the tail holds the drag torque of its rotor [rad]: `tan = s k / L`
+    heading: float  # Angle per error of the heading [-]; errors count up to 1 rad
+    rate: float  # Angle per yaw rate [s]
+    limits: tuple[float, float]  # Of the servo [rad]
 
     def angle(self, attitude: Tensor, ang_vel: Tensor, yaw: Tensor) -> Tensor:
         """Return the commanded angle of the tail [rad], (E,).

@@ -33,23 +33,12 @@ HOW = "Train one with aerial-gym train-encoder"
 class SeenCfg:
     """What must be equal in a sensor for its images to be those that an encoder knows."""
 
-    model: str
-    """Where rays point, as in a sensor file."""
-
-    kind: str
-    """``depth`` or ``range``."""
-
-    rows: int
-    """Pixels in a column."""
-
-    columns: int
-    """Pixels in a row."""
-
-    max_range: float
-    """Longest measured distance [m]."""
-
-    hfov_deg: float | None
-    """Horizontal field of view [deg] of a camera; None for other sensors."""
+    model: str  # Where rays point, as in a sensor file
+    kind: str  # `depth` or `range`
+    rows: int  # Pixels in a column
+    columns: int  # Pixels in a row
+    max_range: float  # Longest measured distance [m]
+    hfov_deg: float | None  # Horizontal field of view [deg] of a camera; None for other sensors
 
     def __str__(self) -> str:
         wide = "" if self.hfov_deg is None else f", {self.hfov_deg:g} degrees wide"

@@ -22,20 +22,11 @@ SMALLEST_IMAGE = 4
 class AutoencoderCfg:
     """Shape of an autoencoder."""
 
-    rows: int
-    """Pixels in a column, >= 1."""
-
-    columns: int
-    """Pixels in a row, >= 1."""
-
-    latents: int = 64
-    """Numbers that stand for an image, >= 1; navigation takes 64."""
-
-    channels: tuple[int, ...] = (32, 64, 128)
-    """Channels of the layers, each of which halves the image, each >= 1."""
-
-    activation: str = "elu"
-    """``elu``, ``relu`` or ``tanh``."""
+    rows: int  # Pixels in a column, >= 1
+    columns: int  # Pixels in a row, >= 1
+    latents: int = 64  # Numbers that stand for an image, >= 1; navigation takes 64
+    channels: tuple[int, ...] = (32, 64, 128)  # Channels of the layers, each of which halves the image, each >= 1
+    activation: str = "elu"  # `elu`, `relu` or `tanh`
 
     def __post_init__(self) -> None:
         require_count(self, "rows", "columns", "latents")

@@ -40,16 +40,11 @@ class Ends:
     """What a step ends by, each bool (E,)."""
 
     crash: Tensor
-    success: Tensor
-    """Of those that end: whether the episode is one."""
-
+    success: Tensor  # Of those that end: whether the episode is one
     terminated: Tensor
     truncated: Tensor
-    arrived: Tensor
-    """Whether a success that counts was there in this episode."""
-
-    causes: list[Tensor]
-    """Which terminations ended it; the last one is the length of the episode."""
+    arrived: Tensor  # Whether a success that counts was there in this episode
+    causes: list[Tensor]  # Which terminations ended it; the last one is the length of the episode
 
 
 class Judge:

@@ -15,11 +15,8 @@ from aerial_gym.interop.rows.tracing import LARGEST_ROW
 class Line:
     """How much of the past a value needs, and which of it is shown."""
 
-    longest_delay: int
-    """Largest delay [steps]."""
-
-    history: int = 1
-    """Values shown side by side, oldest first."""
+    longest_delay: int  # Largest delay [steps]
+    history: int = 1  # Values shown side by side, oldest first
 
     @property
     def length(self) -> int:

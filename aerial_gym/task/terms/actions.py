@@ -18,14 +18,9 @@ from aerial_gym.task.terms.term import Function
 class Action:
     """How actions become commands."""
 
-    value: Callable[..., Tensor]
-    """Of actions (E, U) and parameters by name, to commands."""
-
-    width: int | None = None
-    """Entries of an action; None is the width of the command."""
-
-    command: tuple[str, ...] | None = None
-    """What the controller must take; None fits all."""
+    value: Callable[..., Tensor]  # Of actions (E, U) and parameters by name, to commands
+    width: int | None = None  # Entries of an action; None is the width of the command
+    command: tuple[str, ...] | None = None  # What the controller must take; None fits all
 
     @property
     def summary(self) -> str:

@@ -21,9 +21,7 @@ class Buffer:
     """What a buffer holds, and what it is after a step."""
 
     term: Term
-    shape: tuple[int | str, ...]
-    """Of a row."""
-
+    shape: tuple[int | str, ...]  # Of a row
     unit: str
     frame: str
 

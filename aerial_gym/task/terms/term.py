@@ -55,9 +55,7 @@ class Term:
 class BoundTerm:
     """A term with its numbers, as a task uses it."""
 
-    label: str
-    """What messages call it; of no other term in the task."""
-
+    label: str  # What messages call it; of no other term in the task
     term: Term
     params: Mapping[str, Any]
     reads: tuple[str, ...] = field(default=())

@@ -33,20 +33,11 @@ BANDWIDTH = 10.0
 class Target:
     """One kind of input."""
 
-    name: str
-    """How a finding is named."""
-
-    suffix: str
-    """Of the files."""
-
-    inputs: tuple[bytes, ...]
-    """Valid ones."""
-
-    ways: tuple[Mutation, ...]
-    """To spoil them."""
-
-    use: Callable[[Path], object]
-    """What is done with a file."""
+    name: str  # How a finding is named
+    suffix: str  # Of the files
+    inputs: tuple[bytes, ...]  # Valid ones
+    ways: tuple[Mutation, ...]  # To spoil them
+    use: Callable[[Path], object]  # What is done with a file
 
 
 def _sim():
