@@ -39,20 +39,11 @@ _ROUNDING = 1.0 + 1e-5
 class LinkShapes:
     """Collision shapes on a link, and where that is."""
 
-    shapes: Sequence[CollisionShape]
-    """In the frame of the link."""
-
-    number: int = 0
-    """Of the link; 0 of the body."""
-
-    position: Tensor
-    """Origin of the frame [m], world, (E, 3); may be strided, but for the last axis."""
-
-    attitude: Tensor
-    """To the world, xyzw, unit, (E, 4); likewise."""
-
-    pivot: Vec3 = (0.0, 0.0, 0.0)
-    """Point of the frame that moves in a straight line between two poses [m]: the hinge of a link that turns."""
+    shapes: Sequence[CollisionShape]  # In the frame of the link
+    number: int = 0  # Of the link; 0 of the body
+    position: Tensor  # Origin of the frame [m], world, (E, 3); may be strided, but for the last axis
+    attitude: Tensor  # To the world, xyzw, unit, (E, 4); likewise
+    pivot: Vec3 = (0.0, 0.0, 0.0)  # Point that moves straight between two poses [m]: the hinge of a link that turns
 
 
 class _Body:

@@ -35,20 +35,11 @@ INTEGRAL_SHARE = 0.5
 class RateGains:
     """Gains of a rate loop."""
 
-    proportional: Tensor
-    """[1/s], (E, 3)."""
-
-    integral: Tensor
-    """[1/s²], (E, 3)."""
-
-    integral_limit: Tensor
-    """[rad/s²], (E, 3)."""
-
-    derivative: Tensor
-    """[-], (E, 3)."""
-
-    smoothing: float
-    """Share of the new value that the low-pass takes in one run, ``1 - exp(-2 pi f dt)``: exact for a held input."""
+    proportional: Tensor  # [1/s], (E, 3)
+    integral: Tensor  # [1/s²], (E, 3)
+    integral_limit: Tensor  # [rad/s²], (E, 3)
+    derivative: Tensor  # [-], (E, 3)
+    smoothing: float  # Share of the new value that the low-pass takes in one run, `1 - exp(-2 pi f dt)`
 
 
 def rate_gains(

@@ -61,17 +61,10 @@ DEPENDENT = 1e-12
 class Rest:
     """The states at which closed loops come to rest, if they do, and the loops about them."""
 
-    start: Tensor
-    """First states, (B, X): the rest of a vehicle that flies as its law expects."""
-
-    state: Tensor
-    """Of rest, (B, X); those of the start where there is none."""
-
-    found: Tensor
-    """Whether there is one, bool (B,): where a law asks for more than the rotors have, or more tilt than it allows, none is."""
-
-    loop: LinearLoop
-    """Linearised there."""
+    start: Tensor  # First states, (B, X): the rest of a vehicle that flies as its law expects
+    state: Tensor  # Of rest, (B, X); those of the start where there is none
+    found: Tensor  # Whether there is one, bool (B,): none where a law asks for too much thrust or tilt
+    loop: LinearLoop  # Linearised there
 
     @property
     def offset(self) -> Tensor:

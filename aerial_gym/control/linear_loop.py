@@ -48,23 +48,12 @@ INDEPENDENT = 1e-9
 class LinearStep:
     """One physics step about a state of each vehicle: derivatives, and the change of a state that is not at rest."""
 
-    plant: Tensor
-    """Plant state after per plant state before, (B, Z, Z)."""
-
-    earlier: Tensor
-    """Plant state after per command that acts first where a command arrives within the step, (B, Z, R); 0 where none does."""
-
-    later: Tensor
-    """Plant state after per command that acts from then on, (B, Z, R)."""
-
-    command: Tensor
-    """Command per state, (B, R, X)."""
-
-    law: Tensor
-    """Memory of the law after per state, (B, N, X)."""
-
-    change: Tensor
-    """State after the step less that before, (B, X)."""
+    plant: Tensor  # Plant state after per plant state before, (B, Z, Z)
+    earlier: Tensor  # Plant state after per command before the one that arrives within the step, (B, Z, R), or 0
+    later: Tensor  # Plant state after per command that acts from then on, (B, Z, R)
+    command: Tensor  # Command per state, (B, R, X)
+    law: Tensor  # Memory of the law after per state, (B, N, X)
+    change: Tensor  # State after the step less that before, (B, X)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,62 +26,31 @@ LAYOUT_FILE = "policy.json"
 class Seen:
     """One term of the observation."""
 
-    key: str
-    """Key of the task's observation to which it belongs."""
-
+    key: str  # Key of the task's observation to which it belongs
     term: str
-    meaning: str
-    """What it is, with unit and frame."""
-
-    first: int
-    """Its first entry in the exported observation."""
-
-    count: int
-    """Its entries; those of ``history`` steps side by side, oldest first."""
-
+    meaning: str  # What it is, with unit and frame
+    first: int  # Its first entry in the exported observation
+    count: int  # Its entries; those of `history` steps side by side, oldest first
     history: int
-    scale: float
-    """Factor by which the policy multiplies it: the exported one does so itself."""
-
-    noise_std: float
-    """Standard deviation of the noise that it was trained with, in the unit of the term."""
-
-    delay_steps: tuple[int, int]
-    """Fewest and most steps by which it was late in training."""
-
-    dropout: float = 0.0
-    """Probability with which an entry was dropped in training."""
-
-    dropout_value: float = 0.0
-    """What a dropped entry held, in the unit of the term: what one without a measurement holds."""
-
-    hold_steps: int = 0
-    """Steps for which a dropped entry held its last value before that: feed it so."""
+    scale: float  # Factor by which the policy multiplies it: the exported one does so itself
+    noise_std: float  # Standard deviation of the noise that it was trained with, in the unit of the term
+    delay_steps: tuple[int, int]  # Fewest and most steps by which it was late in training
+    dropout: float = 0.0  # Probability with which an entry was dropped in training
+    dropout_value: float = 0.0  # What a dropped entry held, in the unit of the term: as one without a measurement
+    hold_steps: int = 0  # Steps for which a dropped entry held its last value before that: feed it so
 
 
 @dataclass(frozen=True, kw_only=True)
 class SeenImage:
     """One image of the observation: numbers as the task gives them, (C, H, W)."""
 
-    key: str
-    """Of the task's observation, and of the input."""
-
-    meaning: str
-    """What a pixel of the sensor's image is."""
-
-    shape: tuple[int, int, int]
-    """Channels, rows, columns; the channels are ``history`` images of each sensor, oldest first."""
-
-    dtype: str
-    """``uint8``: ``floor(255 share + 0.5)``; ``float16``, ``float32``: the share itself, 0 to 1."""
-
-    largest: float
-    """What has the share 1, in ``unit``; more counts as as much."""
-
+    key: str  # Of the task's observation, and of the input
+    meaning: str  # What a pixel of the sensor's image is
+    shape: tuple[int, int, int]  # Channels, rows, columns; channels are `history` images of each sensor, oldest first
+    dtype: str  # `uint8`: `floor(255 share + 0.5)`; `float16`, `float32`: the share itself, 0 to 1
+    largest: float  # What has the share 1, in `unit`; more counts as as much
     unit: str
-    without: float
-    """Share of a pixel that has nothing (is negative)."""
-
+    without: float  # Share of a pixel that has nothing (is negative)
     history: int
 
 
@@ -89,50 +58,23 @@ class SeenImage:
 class Layout:
     """What goes in and what comes out."""
 
-    name: str
-    """A name that C allows."""
-
+    name: str  # A name that C allows
     task: str
     robot: str
     controller: str
-    rate_hz: float
-    """How often it was asked in training [1/s]."""
-
-    observation: tuple[Seen, ...]
-    """Terms in the order in which they stand side by side, in their own units, before ``scale``."""
-
-    images: tuple[SeenImage, ...] = ()
-    """Images beside them, in the order of the inputs."""
-
-    command: tuple[str, ...]
-    """Entries of the command that comes out, with their units: what the controller takes."""
-
-    num_actions: int
-    """V: entries of the action behind the command, each -1 to 1; where the observation has them, they are fed back."""
-
-    transform: str
-    """From action to command (``aerial_gym.task.ACTIONS``)."""
-
-    params: Mapping[str, Any]
-    """Numbers of the transform."""
-
-    action_delay_steps: tuple[int, int]
-    """Fewest and most steps by which commands were late in training; not part of the export."""
-
-    filter_time_s: float
-    """Time constant of the low pass behind the command in training [s]; not part of the export."""
-
-    memory: int
-    """M: numbers that it remembers from step to step, 0 where an episode begins."""
-
-    source: str
-    """Checkpoint."""
-
-    encoder: str | None = None
-    """What makes ``image_latents`` of the observation, if there are any; not part of the export."""
-
-    version: str
-    """Of this package."""
+    rate_hz: float  # How often it was asked in training [1/s]
+    observation: tuple[Seen, ...]  # Terms in the order in which they stand, in their own units, before `scale`
+    images: tuple[SeenImage, ...] = ()  # Images beside them, in the order of the inputs
+    command: tuple[str, ...]  # Entries of the command that comes out, with their units: what the controller takes
+    num_actions: int  # V: entries of the action behind the command, each -1 to 1; fed back where observed
+    transform: str  # From action to command (`aerial_gym.task.ACTIONS`)
+    params: Mapping[str, Any]  # Numbers of the transform
+    action_delay_steps: tuple[int, int]  # Fewest and most steps by which commands were late in training; not exported
+    filter_time_s: float  # Time constant of the low pass behind the command in training [s]; not part of the export
+    memory: int  # M: numbers that it remembers from step to step, 0 where an episode begins
+    source: str  # Checkpoint
+    encoder: str | None = None  # What makes `image_latents` of the observation, if there are any; not exported
+    version: str  # Of this package
 
     @property
     def num_observations(self) -> int:

@@ -20,35 +20,16 @@ from aerial_gym.physics.substep_hook import SubstepHook
 class Capabilities:
     """What a backend can do."""
 
-    devices: tuple[str, ...]
-    """Types of device, ``cpu`` or ``cuda``."""
-
-    dtypes: tuple[torch.dtype, ...]
-    """Float types of the state."""
-
-    integrators: tuple[str, ...]
-    """Names of steppers."""
-
-    differentiable: bool
-    """Whether gradients flow through a rollout."""
-
-    effects: Collection[str] | None
-    """Names of effects it can run; None for every one that has a torch formula."""
-
-    lacks: tuple[str, ...] = ()
-    """Names of effects that it cannot run though."""
-
-    rotors: tuple[str, ...] = ()
-    """What rotors may have beyond a plain speed, of ``config.rotor.ROTOR_TRAITS``."""
-
-    contact: bool = False
-    """Whether ground and obstacles can push back."""
-
-    joints: bool = False
-    """Whether bodies can hang on joints."""
-
-    contact_of_links: bool = False
-    """Whether ground and obstacles can push back on bodies that hang on joints, and these on each other."""
+    devices: tuple[str, ...]  # Types of device, `cpu` or `cuda`
+    dtypes: tuple[torch.dtype, ...]  # Float types of the state
+    integrators: tuple[str, ...]  # Names of steppers
+    differentiable: bool  # Whether gradients flow through a rollout
+    effects: Collection[str] | None  # Names of effects it can run; None for every one that has a torch formula
+    lacks: tuple[str, ...] = ()  # Names of effects that it cannot run though
+    rotors: tuple[str, ...] = ()  # What rotors may have beyond a plain speed, of `config.rotor.ROTOR_TRAITS`
+    contact: bool = False  # Whether ground and obstacles can push back
+    joints: bool = False  # Whether bodies can hang on joints
+    contact_of_links: bool = False  # Whether ground and obstacles can push bodies on joints, and these each other
 
 
 class EffectsThatRun(Collection[str]):

@@ -19,14 +19,9 @@ from aerial_gym.physics.state import BodyState
 class LawNeeds:
     """What a law must be given to remember."""
 
-    width: int
-    """Numbers M; all are zero after a reset."""
-
-    past: int
-    """Numbers P in rings: commands on their way. They are not cleared, as ``since`` says which are not to be read."""
-
-    dt: float
-    """Time step [s] for which the law was built."""
+    width: int  # Numbers M; all are zero after a reset
+    past: int  # Numbers P in rings: commands on their way. Not cleared: `since` says which are not to be read
+    dt: float  # Time step [s] for which the law was built
 
 
 @dataclass(frozen=True, kw_only=True)

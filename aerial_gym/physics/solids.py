@@ -43,20 +43,11 @@ class Solid:
 class Solids:
     """What stands around the vehicles of all environments; the tensors stay where they are and may be written at any time."""
 
-    table: tuple[Solid, ...]
-    """Every part that there is."""
-
-    part: Tensor
-    """Row of the table of each part of an environment, -1 where there is none, integer, (E, P)."""
-
-    carrier: Tensor
-    """Which obstacle carries it, integer, (E, P)."""
-
-    state: Tensor
-    """Position [m], attitude xyzw, velocity [m/s] and angular velocity [rad/s] of obstacles, world, (E, A, 13)."""
-
-    moves: bool = False
-    """Whether the velocities count: those of obstacles at rest are zero, whatever stands there."""
+    table: tuple[Solid, ...]  # Every part that there is
+    part: Tensor  # Row of the table of each part of an environment, -1 where there is none, integer, (E, P)
+    carrier: Tensor  # Which obstacle carries it, integer, (E, P)
+    state: Tensor  # Position [m], xyzw, velocity [m/s], angular velocity [rad/s] of obstacles, world, (E, A, 13)
+    moves: bool = False  # Whether the velocities count: those of obstacles at rest are zero, whatever stands there
 
     @cached_property
     def _in_obstacles(self) -> tuple[Tensor, Tensor]:

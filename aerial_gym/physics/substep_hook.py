@@ -52,15 +52,9 @@ class Trajectory:
     Rows beyond the substeps of a step are left alone.
     """
 
-    position: Tensor
-    """Body origin [m], world, float32, (K + 1, E, 3)."""
-
-    attitude: Tensor
-    """Body to world, xyzw, float32, (K + 1, E, 4)."""
-
-    joint_pos: Tensor | None = None
-    """Coordinates of the joints of an articulated vehicle [rad] or [m], float32, (K + 1, E, D)."""
-
+    position: Tensor  # Body origin [m], world, float32, (K + 1, E, 3)
+    attitude: Tensor  # Body to world, xyzw, float32, (K + 1, E, 4)
+    joint_pos: Tensor | None = None  # Coordinates of the joints of an articulated vehicle [rad, m], (K + 1, E, D)
     _began: bool = False
 
     @classmethod

@@ -23,26 +23,13 @@ from aerial_gym.registry.guarded import GuardedTensor
 class TensorSpec:
     """What one key of the GTD holds."""
 
-    key: str
-    """Name under which the tensor is found."""
-
-    shape: tuple[str | int, ...]
-    """Letters (E environments, R rotors, A obstacles, S sensors, H x W pixels ...) or numbers."""
-
-    unit: str
-    """SI unit; ``-`` for none."""
-
-    frame: str
-    """``world``, ``body``, ``vehicle`` (world turned by yaw only), ``sensor`` or ``-``."""
-
-    owner: str
-    """The only part that writes."""
-
-    meaning: str
-    """One line."""
-
-    dtype: torch.dtype = torch.float32
-    """Element type."""
+    key: str  # Name under which the tensor is found
+    shape: tuple[str | int, ...]  # Letters (E environments, R rotors, A obstacles, S sensors, H x W pixels) or numbers
+    unit: str  # SI unit; `-` for none
+    frame: str  # `world`, `body`, `vehicle` (world turned by yaw only), `sensor` or `-`
+    owner: str  # The only part that writes
+    meaning: str  # One line
+    dtype: torch.dtype = torch.float32  # Element type
 
 
 class GlobalTensorDictionary(Mapping[str, Tensor]):

@@ -207,23 +207,12 @@ def _make_push(*, moves: bool, cores: bool, meshes: bool) -> wp.Kernel:
 class PushedRobot:
     """The tensors of the robot that is pushed; they must stay where they are."""
 
-    mass: Tensor
-    """[kg], (E,)."""
-
-    inertia: Tensor
-    """About the centre of mass [kg m²], body, (E, 3, 3)."""
-
-    com: Tensor
-    """Centre of mass from the body origin [m], body, (E, 3)."""
-
-    spheres: Tensor
-    """Contact points: centres in the body frame and radii [m], (C, 4)."""
-
-    shapes: tuple[CollisionShape, ...] = ()
-    """The shapes whose contact points these are; without any there are spheres alone."""
-
-    in_fluid: bool = False
-    """Whether it has added mass."""
+    mass: Tensor  # [kg], (E,)
+    inertia: Tensor  # About the centre of mass [kg m²], body, (E, 3, 3)
+    com: Tensor  # Centre of mass from the body origin [m], body, (E, 3)
+    spheres: Tensor  # Contact points: centres in the body frame and radii [m], (C, 4)
+    shapes: tuple[CollisionShape, ...] = ()  # Shapes whose contact points these are; none for spheres alone
+    in_fluid: bool = False  # Whether it has added mass
 
 
 class SceneContact:

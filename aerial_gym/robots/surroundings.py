@@ -15,29 +15,12 @@ from aerial_gym.robots.joints.link_tensors import LinkTensors
 class Surroundings:
     """What is around the robots of all environments."""
 
-    bounds: tuple[Tensor, Tensor]
-    """Lower and upper corner of the environments [m], world, each (E, 3)."""
-
-    crashes: Tensor
-    """Set by the physics where the robot touches the ground, and with ``contact`` where it touches an obstacle, bool (E,)."""
-
-    ground_height: float | None = None
-    """Height of the ground plane [m], world; None where there is none."""
-
-    ceiling_height: float | None = None
-    """Height of the ceiling [m], world; None where there is none."""
-
-    contact: ContactCfg | None = None
-    """How ground and obstacles push back; None if they do not."""
-
-    scene: Scene | None = None
-    """The obstacles; only needed with ``contact``, which moves them between the substeps."""
-
-    moving: "Obstacles | None" = None
-    """Its instances as they move; None if nothing moves."""
-
-    links: LinkTensors | None = None
-    """Where the links of a robot that bends are; None for a rigid one."""
-
-    hook: SubstepHook | None = None
-    """Follows the robot from substep to substep, where there is no contact with obstacles."""
+    bounds: tuple[Tensor, Tensor]  # Lower and upper corner of the environments [m], world, each (E, 3)
+    crashes: Tensor  # Where the robot touches the ground, and with `contact` an obstacle, bool (E,); set by physics
+    ground_height: float | None = None  # Height of the ground plane [m], world; None where there is none
+    ceiling_height: float | None = None  # Height of the ceiling [m], world; None where there is none
+    contact: ContactCfg | None = None  # How ground and obstacles push back; None if they do not
+    scene: Scene | None = None  # The obstacles; only needed with `contact`, which moves them between the substeps
+    moving: "Obstacles | None" = None  # Its instances as they move; None if nothing moves
+    links: LinkTensors | None = None  # Where the links of a robot that bends are; None for a rigid one
+    hook: SubstepHook | None = None  # Follows the robot through the substeps, where there is no contact with obstacles

@@ -25,20 +25,11 @@ GRAVITY = 9.81
 class TunedRobot:
     """What a robot file is to say, and what came of it."""
 
-    control: ControlCfg
-    """With frequencies and damping ratios of attitude and position."""
-
-    lag: float
-    """Of the rotors [s]."""
-
-    delay: float
-    """Dead time of the commands [s]."""
-
-    yaw_limited: bool
-    """Whether yaw is slower than asked, as there is no more torque."""
-
-    radius: float
-    """Spectral radius of the sampled loop of ``lee_position_control`` at hover, with its effects; below 1 it comes to rest."""
+    control: ControlCfg  # With frequencies and damping ratios of attitude and position
+    lag: float  # Of the rotors [s]
+    delay: float  # Dead time of the commands [s]
+    yaw_limited: bool  # Whether yaw is slower than asked, as there is no more torque
+    radius: float  # Spectral radius of the sampled loop of `lee_position_control` at hover; below 1 it comes to rest
 
 
 def tune_robot(

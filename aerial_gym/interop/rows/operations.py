@@ -138,26 +138,13 @@ Arguments = Callable[[tuple[Any, ...], dict[str, Any]], tuple[Any, ...]]
 class Pointwise:
     """How an operation on tensors is one on scalars."""
 
-    make: Callable[["Trace", tuple[int, ...], torch.dtype], int]
-    """From the scalars of its arguments to the scalar of its result."""
-
-    arguments: Arguments = lambda args, kwargs: args
-    """Its tensor and number arguments, in order."""
-
-    compares: bool = False
-    """Whether its arguments have a common type that is not that of the result."""
-
-    inside: torch.dtype | None = None
-    """Type of the arguments, where it is not that of the result."""
-
-    types: tuple[torch.dtype | None, ...] | None = None
-    """Type of each argument, None for its own."""
-
-    known: frozenset[str] = frozenset()
-    """Names of keyword arguments that it understands, or that change nothing here."""
-
-    floats: bool = False
-    """Whether only for floating-point numbers."""
+    make: Callable[["Trace", tuple[int, ...], torch.dtype], int]  # From scalars of the arguments to that of the result
+    arguments: Arguments = lambda args, kwargs: args  # Its tensor and number arguments, in order
+    compares: bool = False  # Whether its arguments have a common type that is not that of the result
+    inside: torch.dtype | None = None  # Type of the arguments, where it is not that of the result
+    types: tuple[torch.dtype | None, ...] | None = None  # Type of each argument, None for its own
+    known: frozenset[str] = frozenset()  # Names of keyword arguments that it understands, or that change nothing here
+    floats: bool = False  # Whether only for floating-point numbers
 
 
 _OF_TRUTHS = {"mul": "and", "add": "or"}

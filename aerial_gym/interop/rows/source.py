@@ -27,14 +27,9 @@ class KernelSource:
     """A kernel ``rows`` and which inputs it takes."""
 
     code: str
-    shared: frozenset[int]
-    """Positions of those that all rows share."""
-
-    inputs: tuple[int, ...]
-    """Positions of the inputs that are read; each is an argument, rows as (E, n) and shared ones as (n,). Outputs follow."""
-
-    names: dict[str, Any] = field(default_factory=dict)
-    """What the code calls by name, besides ``wp``."""
+    shared: frozenset[int]  # Positions of those that all rows share
+    inputs: tuple[int, ...]  # Positions of the inputs read: arguments before the outputs, (E, n) or shared (n,)
+    names: dict[str, Any] = field(default_factory=dict)  # What the code calls by name, besides `wp`
 
 
 def write(trace: Trace, *, masked: bool = False, made: Sequence[str] = (), beside: bool = False) -> KernelSource:

@@ -27,7 +27,7 @@ class Joint:
     kind: Literal["revolute", "prismatic"] = "revolute"
 
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    """Direction, in the joint's frame, that it turns about or moves along; of length 1."""
+    """Unit vector, in its frame, that it turns about or moves along."""
 
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Origin of the joint's frame on its parent [m]."""

@@ -132,14 +132,9 @@ class Numbers:
 
     vehicle: list[Field]
     command: list[Field]
-    gains: list[Field]
-    """All of them differ between environments, or none."""
-
-    lateral: bool
-    """Whether the law asks for a force beside body z."""
-
-    effects: list[Tensor]
-    """Parameters (E, P) of the effects that act in a step, in the order of ``EffectsByKind.forces``; always packed."""
+    gains: list[Field]  # All of them differ between environments, or none
+    lateral: bool  # Whether the law asks for a force beside body z
+    effects: list[Tensor]  # Parameters (E, P) of the effects that act in a step, in the order of `forces`; packed
 
 
 def numbers_of(model: Model, law: FusedLaw, stage: float) -> Numbers:
@@ -162,22 +157,13 @@ class Packing:
     """The first row in the packed tensor (N, E) of each field that differs between environments."""
 
     vehicle: Mapping[str, int]
-    entries: Mapping[str, tuple[int, ...]]
-    """Which entries of a field of the vehicle are packed, where it is not all of them."""
-
-    twins: frozenset[str]
-    """Fields of the vehicle whose rows are those of an earlier field."""
-
+    entries: Mapping[str, tuple[int, ...]]  # Which entries of a field of the vehicle are packed, where not all are
+    twins: frozenset[str]  # Fields of the vehicle whose rows are those of an earlier field
     command: Mapping[str, int]
-    command_entries: Mapping[str, tuple[int, ...]]
-    """Likewise of a field of the command."""
-
-    gains: int | None
-    """Of the first gain; None where all environments have the same."""
-
+    command_entries: Mapping[str, tuple[int, ...]]  # Likewise of a field of the command
+    gains: int | None  # Of the first gain; None where all environments have the same
     effects: int
-    total: int
-    """N."""
+    total: int  # N
 
     @property
     def behind_vehicle(self) -> int:

@@ -34,13 +34,13 @@ class Floor:
     """Of the plane [m], world; minus infinity where there is none."""
 
     spheres: Sequence[Sequence[float]]
-    """Centres x, y, z in the axes of the base and radii [m]; a radius of zero is a point."""
+    """Centres x, y, z in the axes of the base and radii [m]; radius 0: a point."""
 
     friction: float
     """Coulomb coefficient."""
 
     on_links: LinkShapes | None = None
-    """Of a vehicle that bends: on which link each sphere is, what of them pushes each other, and what stands around."""
+    """Of a vehicle that bends: links of the spheres, pairs that push, and surroundings."""
 
     @property
     def solids(self) -> Solids | None:

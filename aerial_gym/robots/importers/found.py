@@ -45,22 +45,15 @@ class Found:
     body: RigidBody
     rotors: Sequence[FoundRotor]
     shapes: Sequence[CollisionShape]
-    joints: tuple[JointCfg, ...] = ()
-    """Joints that move, if asked for."""
-
+    joints: tuple[JointCfg, ...] = ()  # Joints that move, if asked for
     weightless: Sequence[Weightless] = ()
 
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     effects_source: str = ""
 
-    notes: Sequence[str] = ()
-    """What the file holds and is not used, a line each."""
-
-    assumed: Sequence[str] = ()
-    """What is taken otherwise than the file has it, or is not in the file, a line each."""
-
-    losses: Sequence[str] = ()
-    """What is not used and without which the vehicle flies otherwise: wings, joints that tilt rotors. A line each."""
+    notes: Sequence[str] = ()  # What the file holds and is not used, a line each
+    assumed: Sequence[str] = ()  # What is taken otherwise than the file has it, or is not in the file, a line each
+    losses: Sequence[str] = ()  # Parts left out without which it flies otherwise: wings, joints that tilt rotors
 
 
 def read_xml(path: Path) -> ElementTree.Element:

@@ -32,23 +32,12 @@ _WAY_OUT = "Give a robot that has some: --rotors-of ROBOT, rotors_of of RotorHin
 class RotorHints:
     """What a file does not say of its rotors."""
 
-    rotors_of: RobotCfg | None = None
-    """Robot whose rotor type these are; where the file has no rotors, its mounts are taken too."""
-
-    spins: tuple[int, ...] = ()
-    """+1 or -1 for each rotor in the order of the file, in place of what it says."""
-
-    lag: float | None = None
-    """Of thrusts that follow at once in the file [s], and of rotors that ``properties`` of a URDF describe."""
-
-    rotor_links: str = ROTOR_LINKS
-    """Regular expression of links of a URDF without motors that are rotors."""
-
-    joints: bool = False
-    """Whether joints move (URDF and MJCF) but those of rotors; else all are welded."""
-
-    accept_losses: bool = False
-    """Whether to import a vehicle although its wings or the joints that tilt its rotors are left out."""
+    rotors_of: RobotCfg | None = None  # Robot with these rotors; its mounts are taken where the file has none
+    spins: tuple[int, ...] = ()  # +1 or -1 for each rotor in the order of the file, in place of what it says
+    lag: float | None = None  # Of thrusts that follow at once in the file [s], and of rotors of a URDF's `properties`
+    rotor_links: str = ROTOR_LINKS  # Regular expression of links of a URDF without motors that are rotors
+    joints: bool = False  # Whether joints move (URDF and MJCF) but those of rotors; else all are welded
+    accept_losses: bool = False  # Whether to import a vehicle without its wings or the joints that tilt its rotors
 
 
 @dataclass(frozen=True)

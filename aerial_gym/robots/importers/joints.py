@@ -37,12 +37,8 @@ class FoundJoint:
     """A joint that moves."""
 
     name: str
-    parent: str = BASE
-    """Joint on whose link it sits, or the base."""
-
-    kind: str
-    """``revolute`` or ``prismatic``."""
-
+    parent: str = BASE  # Joint on whose link it sits, or the base
+    kind: str  # `revolute` or `prismatic`
     axis: np.ndarray
     position: np.ndarray
     reference: float = 0.0
@@ -51,8 +47,7 @@ class FoundJoint:
     rest: float = 0.0
     damping: float = 0.0
     friction: float = 0.0
-    weights: Sequence[Weight] = field(default_factory=tuple)
-    """Of the links that it carries and that no other joint moves."""
+    weights: Sequence[Weight] = field(default_factory=tuple)  # Of the links that it carries and no other joint moves
 
 
 def layout_of(joints: Sequence[FoundJoint]) -> tuple[JointCfg, ...]:

@@ -50,21 +50,12 @@ class SdfTree:
     where: str
     links: dict[str, Element] = field(default_factory=dict)
     joints: dict[str, Element] = field(default_factory=dict)
-    plugins: list[tuple[str, Element]] = field(default_factory=list)
-    """Each with the scope of its names."""
-
-    scopes: dict[str, Scope] = field(default_factory=dict)
-    """Of links and joints."""
-
-    roots: list[Element] = field(default_factory=list)
-    """Of included files."""
-
-    _within: list[Path] = field(default_factory=list)
-    """Files that include what is being read."""
-
+    plugins: list[tuple[str, Element]] = field(default_factory=list)  # Each with the scope of its names
+    scopes: dict[str, Scope] = field(default_factory=dict)  # Of links and joints
+    roots: list[Element] = field(default_factory=list)  # Of included files
+    _within: list[Path] = field(default_factory=list)  # Files that include what is being read
     _places: dict[str, _Place] = field(default_factory=dict)
-    _attached: dict[str, str] = field(default_factory=dict)
-    """Frame: what it is attached to; model frame: its canonical link."""
+    _attached: dict[str, str] = field(default_factory=dict)  # Frame: what it is attached to, or its canonical link
 
     def take(self, model: Element, scope: Scope) -> None:
         """Take what a model holds, and place the model itself if nobody has."""

@@ -29,17 +29,10 @@ if TYPE_CHECKING:
 class LinkTensors:
     """Where links are, in the GTD."""
 
-    state: Tensor
-    """Position [m], attitude xyzw, velocity [m/s], angular velocity [rad/s] of each link's frame, world, (E, L, 13)."""
-
-    ang_vel: Tensor
-    """Angular velocity [rad/s], axes of the link, (E, L, 3)."""
-
-    names: tuple[str, ...]
-    """Of the links, L of them."""
-
-    pivots: tuple[Vec3, ...]
-    """Point of each link's frame about which it turns [m]: its hinge; the origin of the base and of links that slide."""
+    state: Tensor  # Position [m], xyzw, velocity [m/s], angular velocity [rad/s] of the link frames, world, (E, L, 13)
+    ang_vel: Tensor  # Angular velocity [rad/s], axes of the link, (E, L, 3)
+    names: tuple[str, ...]  # Of the links, L of them
+    pivots: tuple[Vec3, ...]  # Hinge of each link in its frame [m]; the origin for the base and links that slide
 
     def carriers(self, mounted: Mapping[str, Mounted[RangeSensorCfg] | Mounted[ImuCfg]]) -> dict[str, Carrier]:
         """Return the links that carry sensors by the names of these; none of sensors on the base."""

@@ -30,18 +30,11 @@ class Entry:
     term: BoundTerm
     cfg: ObservationCfg
     width: int
-    noise: int | None
-    """First of its columns among the draws of noise."""
-
+    noise: int | None  # First of its columns among the draws of noise
     line: Line
-    past: tuple[str, ...]
-    """Buffers of its line, oldest first."""
-
-    held: tuple[str, ...]
-    """Buffers of what each entry held last and for how many steps it has been dropped; none where nothing is held."""
-
-    delay: int | None
-    """Its column among the drawn delays; None where it has one delay."""
+    past: tuple[str, ...]  # Buffers of its line, oldest first
+    held: tuple[str, ...]  # Buffers of what each entry held last and of its steps since it was dropped, if held
+    delay: int | None  # Its column among the drawn delays; None where it has one delay
 
     def noisy(self, values: Mapping[str, Tensor], begun: Tensor | None) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
         """Return whether the term is finite, bool (E,), its value with noise and dropout, zeros where not, (E, width), and what

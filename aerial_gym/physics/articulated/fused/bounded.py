@@ -24,29 +24,14 @@ FLAT = 1e-6
 class BoundedLaws:
     """Functions of the bounded laws of all joints; vectors have a number of each joint."""
 
-    ask: wp.Function
-    """(positions, commands) -> what drives ask for at the rate 0 at the end of the step."""
-
-    sides: wp.Function
-    """(asked, rates at the end, dt) -> sides of drives and of dry friction: 1 or -1 at a limit, by its sign; else 0."""
-
-    tangent: wp.Function
-    """(asked, both sides, dt) -> effort at the rate 0, and by how much it falls with the rate."""
-
-    fits: wp.Function
-    """(asked, both sides, rates at the end, dt) -> whether laws have these sides at these rates."""
-
-    line_search: wp.Function
-    """(asked, rates, efforts, other rates, their efforts, dt) -> share of the way to the others that is least."""
-
-    driven: wp.Function
-    """(asked, rates, dt) -> efforts of drives, within their limits."""
-
-    rubbing: wp.Function
-    """(rates) -> efforts of dry friction, within its size."""
-
-    pushes: wp.Function
-    """(efforts of dry friction, rates) -> whether any is along its rate."""
+    ask: wp.Function  # (positions, commands) -> what drives ask for at the rate 0 at the end of the step
+    sides: wp.Function  # (asked, rates at the end, dt) -> sides of drives and of dry friction: 1, -1 at a limit, or 0
+    tangent: wp.Function  # (asked, both sides, dt) -> effort at the rate 0, and by how much it falls with the rate
+    fits: wp.Function  # (asked, both sides, rates at the end, dt) -> whether laws have these sides at these rates
+    line_search: wp.Function  # (asked, rates, efforts, other rates, their efforts, dt) -> best share of the way
+    driven: wp.Function  # (asked, rates, dt) -> efforts of drives, within their limits
+    rubbing: wp.Function  # (rates) -> efforts of dry friction, within its size
+    pushes: wp.Function  # (efforts of dry friction, rates) -> whether any is along its rate
 
 
 def make_bounded(articulation: Articulation) -> BoundedLaws:
