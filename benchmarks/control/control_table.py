@@ -1,11 +1,11 @@
-"""Does every registered robot fly with every geometric controller that fits it? Errors, settling times, overshoots.
+"""Flights of every registered robot under every geometric controller that fits it.
 
     python -m benchmarks.control.control_table [--json] [--write docs/results/control.md] [--out docs/images]
 
-Robots that differ only in their sensors fly once, with every controller whose gains are the robot's own, and with those whose
-name means its gains, at every sim (``control_flights``). Gains that a name means fly other robots too, at `base_sim`. Robots
-that bend fly there with the gains that they have of their own. What is refused is listed. ``--json`` prints all of it, an
-object a line; ``--out`` draws the steps at `base_sim`.
+Robots that differ only in their sensors fly once, with every controller that takes the robot's own gains, and with those whose
+name stands for the gains of a robot, at every sim (``control_flights``). Controllers of the second kind also fly other robots,
+at `base_sim`. Robots with joints fly there with their own gains. ``--json`` prints each flight and each refusal as one object a
+line; the tables summarise them. ``--out`` draws the step responses at `base_sim`.
 """
 
 import argparse
@@ -13,7 +13,7 @@ import json
 import platform
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
-from math import isfinite, isnan, pi
+from math import isfinite, pi
 from pathlib import Path
 from statistics import median
 
@@ -44,8 +44,11 @@ BEGIN, END = "<!-- tables: begin, by python -m benchmarks.control.control_table 
 LOST = 10.0
 """Error after 10 s in steps, from which on a vehicle is called lost."""
 
+NEGLIGIBLE = 1e-3
+"""Error in ``UNITS`` below which no figure is given."""
+
 HELD = ("position", "pose", "velocity", "steering")
-"""Laws whose error in wind stays unless they have an integral of position or velocity: with one it falls, quickly or slowly."""
+"""Laws of position and velocity: their error in wind remains unless they have an integral."""
 
 COMPARED_SIMS = tuple(sim for sim in SIMS if sim != "base_sim_headless")
 """All but the second name of base_sim."""
@@ -98,91 +101,111 @@ def own(flights: list[Flight]) -> list[Flight]:
     return [f for f in flights if f.controller not in named or meant_for(f.controller) == f.robot]
 
 
-def table(flights: list[Flight]) -> str:
-    """Return a row for each robot and controller at the coarsest sim."""
-    lines = [
-        "| robot | controller | error | settling, overshoot | in wind: error at rest, largest | "
-        "rotors at limits: share, settling, overshoot, error |",
-        "| --- | --- | --- | --- | --- | --- |",
-    ]
-    for flight in (f for f in own(flights) if f.sim == COARSEST):
-        unit = UNITS[flight.law]
-        fell = "" if flight.tilt_rad <= pi / 2 else " **fell**"
-        lost = "" if flight.limit_error <= LOST * STEPS[flight.law] else " **lost**"
-        wind = "-" if isnan(flight.wind_error) else f"{_held(flight.wind_error)}, {_held(flight.wind_largest)} {unit}"
-        lines.append(
-            f"| `{flight.robot}` | `{flight.controller}` | {_held(flight.error)} {unit}{fell} | "
-            f"{_answer(flight.settling_s, flight.overshoot)} | {wind} | {flight.limit_share:.0%}, "
-            f"{_answer(flight.limit_settling_s, flight.limit_overshoot)}, {_held(flight.limit_error)} {unit}{lost} |"
-        )
-    return "\n".join(lines)
-
-
 def _finite(value: str | float) -> str | float | None:
     """Return a value as JSON can have it: null for what is infinite or not measured."""
     return value if isinstance(value, str) or isfinite(value) else None
 
 
 def _held(error: float) -> str:
-    return "< 0.001" if error < 1e-3 else f"{error:.2g}"
+    return f"< {NEGLIGIBLE:g}" if error < NEGLIGIBLE else f"{error:.2g}"
 
 
 def _answer(settling: float, overshoot: float) -> str:
     if not overshoot < LOST:
         return "**lost**"
-    return f"{f'{settling:.3g} s' if settling < SPAN else f'> {SPAN:g} s'}, {overshoot:.0%}"
+    return f"{f'{settling:.3g}' if settling < SPAN else f'> {SPAN:g}'}, {overshoot:.0%}"
 
 
-def sims_table(flights: list[Flight]) -> str:
-    """Return a row for each controller, the sims side by side, over its robots."""
+def _controllers(flights: list[Flight]) -> list[str]:
+    """Return the controllers of flights, each once."""
+    return list(dict.fromkeys(flight.controller for flight in flights))
+
+
+def _at(flights: list[Flight], controller: str, sim: str = COARSEST) -> list[Flight]:
+    """Return the flights of a controller at a sim."""
+    return [flight for flight in flights if (flight.controller, flight.sim) == (controller, sim)]
+
+
+def _largest(flights: list[Flight], error: Callable[[Flight], float]) -> str:
+    """Return the largest error with its unit, and its robot if it is not negligible."""
+    worst = max(flights, key=error)
+    text = f"{_held(error(worst))} {UNITS[worst.law]}"
+    return text if error(worst) < NEGLIGIBLE else f"{text} (`{worst.robot}`)"
+
+
+def _is_lost(flight: Flight) -> bool:
+    """Return whether a vehicle is lost after its rotors were at their limits."""
+    return not flight.limit_error <= LOST * STEPS[flight.law]
+
+
+def controllers_table(flights: list[Flight]) -> str:
+    """Return a row for each controller: the largest error from drawn starts at the coarsest sim, and steps at each sim."""
+    flights = own(flights)
+    heads = [f"step, {1e3 * SIMS.get(sim).dt:g} ms" for sim in COMPARED_SIMS]
     lines = [
-        "| controller | " + " | ".join(f"`{sim}` ({1e3 * SIMS.get(sim).dt:g} ms)" for sim in COMPARED_SIMS) + " |",
-        "| --- |" + " --- |" * len(COMPARED_SIMS),
+        f"| controller | robots | largest error from drawn starts, 10 ms | {' | '.join(heads)} |",
+        "| --- | --- | --- |" + " --- |" * len(heads),
     ]
-    for controller in dict.fromkeys(f.controller for f in own(flights)):
-        cells = [
-            _over([f for f in own(flights) if (f.controller, f.sim) == (controller, sim)]) for sim in COMPARED_SIMS
-        ]
-        lines.append(f"| `{controller}` | {' | '.join(cells)} |")
+    for controller in _controllers(flights):
+        rows = _at(flights, controller)
+        error = _largest(rows, lambda flight: flight.error) if rows else "-"
+        cells = [_summary(_at(flights, controller, sim)) for sim in COMPARED_SIMS]
+        lines.append(f"| `{controller}` | {len(rows)} | {error} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
-def _over(flights: list[Flight]) -> str:
-    """Return what came of one controller at one sim: robots, median settling, largest overshoot, how many are lost."""
+def _summary(flights: list[Flight]) -> str:
+    """Return the median settling time, the largest overshoot, and the number of vehicles lost with rotors at limits."""
     if not flights:
         return "-"
-    settling = median(f.settling_s for f in flights)
-    lost = sum(not f.limit_error <= LOST * STEPS[f.law] for f in flights)
-    return f"{len(flights)}: {_answer(settling, max(f.overshoot for f in flights))}" + (
-        f", {lost} lost" if lost else ""
-    )
+    answer = _answer(median(f.settling_s for f in flights), max(f.overshoot for f in flights))
+    lost = sum(map(_is_lost, flights))
+    return f"{answer}, {lost} lost" if lost else answer
+
+
+def steps_table(flights: list[Flight], refusals: list[Refusal], controllers: Iterable[str]) -> str:
+    """Return a row for each robot: a step of 1 m and the error from drawn starts under each controller of position."""
+    controllers = [name for name in controllers if _holds_place(name)]
+    cells: dict[tuple[str, str], str] = {}
+    for flight in (f for f in flights if f.sim == COARSEST):
+        answer = f"{_answer(flight.settling_s, flight.overshoot)}, {_held(flight.error)}"
+        lost = flight in own([flight]) and _is_lost(flight)
+        cells[flight.robot, flight.controller] = f"{answer}, **lost**" if lost else answer
+    for refusal in (r for r in refusals if r.sim == COARSEST):
+        cells[refusal.robot, refusal.controller] = "unfit" if refusal.of_kind else "refused"
+    lines = [f"| robot | {' | '.join(f'`{name}`' for name in controllers)} |", "| --- |" + " --- |" * len(controllers)]
+    for robot in dict.fromkeys(row.robot for row in (*flights, *refusals)):
+        lines.append(f"| `{robot}` | {' | '.join(cells.get((robot, name), '-') for name in controllers)} |")
+    return "\n".join(lines)
 
 
 def wind_table(flights: list[Flight]) -> str:
-    """Return a row for each controller that holds a place or a velocity: which share of the largest error in wind is left."""
+    """Return a row for each controller of position or velocity: its error in wind, and the share that remains after 10 s."""
     lines = [
-        "| controller | robots | left after 10 s of the largest error, median | least |",
-        "| --- | --- | --- | --- |",
+        "| controller | robots | error after 10 s, median | largest | share of the largest error that remains, median |",
+        "| --- | --- | --- | --- | --- |",
     ]
     held = [f for f in own(flights) if f.sim == COARSEST and f.law in HELD and f.wind_largest > 0.0]
-    for controller in dict.fromkeys(f.controller for f in held):
-        left = {f.robot: f.wind_error / f.wind_largest for f in held if f.controller == controller}
-        least, middle = min(left, key=left.__getitem__), median(left.values())
-        lines.append(f"| `{controller}` | {len(left)} | {middle:.0%} | {left[least]:.0%} (`{least}`) |")
+    for controller in _controllers(held):
+        rows = _at(held, controller)
+        middle = f"{_held(median(f.wind_error for f in rows))} {UNITS[rows[0].law]}"
+        share = median(f.wind_error / f.wind_largest for f in rows)
+        largest = _largest(rows, lambda flight: flight.wind_error)
+        lines.append(f"| `{controller}` | {len(rows)} | {middle} | {largest} | {share:.0%} |")
     return "\n".join(lines)
 
 
 def refusals_table(refusals: list[Refusal]) -> str:
-    """Return which robots each controller refuses, for their kind and for its gains at each sim; a row for those alike."""
-    sims = sorted(COMPARED_SIMS, key=lambda sim: -SIMS.get(sim).dt)
-    heads = ["not a vehicle for the law", *(f"its gains do not hold at {1e3 * SIMS.get(sim).dt:g} ms" for sim in sims)]
-    lines = [f"| controller | {' | '.join(heads)} |", "| --- |" + " --- |" * len(heads)]
+    """Return the robots that each controller refuses at the coarsest sim, for its law and for its gains."""
+    lines = [
+        "| controllers | vehicles that do not fit the law | vehicles that the gains do not stabilise |",
+        "| --- | --- | --- |",
+    ]
     alike: dict[tuple[str, ...], list[str]] = {}
     for controller in dict.fromkeys(r.controller for r in refusals):
-        mine = [r for r in refusals if r.controller == controller]
-        cells = [_names(r.robot for r in mine if r.of_kind)]
-        cells += [_names(r.robot for r in mine if not r.of_kind and r.sim == sim) for sim in sims]
-        alike.setdefault(tuple(cells), []).append(controller)
+        rows = [r for r in refusals if r.controller == controller and r.sim == COARSEST]
+        cells = tuple(_names(r.robot for r in rows if r.of_kind == of_kind) for of_kind in (True, False))
+        alike.setdefault(cells, []).append(controller)
     lines += [f"| {_names(controllers)} | {' | '.join(cells)} |" for cells, controllers in alike.items()]
     return "\n".join(lines)
 
@@ -191,65 +214,47 @@ def _names(robots: Iterable[str]) -> str:
     return ", ".join(f"`{name}`" for name in dict.fromkeys(robots)) or "-"
 
 
-def foreign_table(flights: list[Flight], refusals: list[Refusal]) -> str:
-    """Return a row for each robot: what becomes of a step of a metre with the gains of each robot that a name means."""
-    controllers = [name for name in named_controllers() if _holds_place(name)]
-    found: dict[tuple[str, str], str] = {}
-    for flight in (f for f in flights if f.sim == COARSEST and f.controller in controllers):
-        answer = _answer(flight.settling_s, flight.overshoot)
-        found[flight.robot, flight.controller] = f"{answer}, {_held(flight.error)} m"
-    for refusal in (r for r in refusals if r.sim == COARSEST):
-        found[refusal.robot, refusal.controller] = "not for it" if refusal.of_kind else "refused"
-    lines = [f"| robot | {' | '.join(f'`{name}`' for name in controllers)} |", "| --- |" + " --- |" * len(controllers)]
-    for robot in dict.fromkeys(f.robot for f in flights):
-        lines.append(f"| `{robot}` | {' | '.join(found.get((robot, name), '-') for name in controllers)} |")
+def joints_table(flights: list[Flight]) -> str:
+    """Return a row for each robot with joints: how many controllers lose it at the coarsest sim."""
+    lines = [
+        "| robot | controllers | overturned from drawn starts | lost after a step | lost with rotors at limits | "
+        "error from drawn starts under `lee_position_control` [m] |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for robot in dict.fromkeys(flight.robot for flight in flights):
+        rows = [flight for flight in flights if flight.robot == robot]
+        overturned = sum(flight.tilt_rad > pi / 2 for flight in rows)
+        lost = sum(not flight.overshoot < LOST for flight in rows)
+        error = next((_held(f.error) for f in rows if f.controller == "lee_position_control"), "-")
+        lines.append(f"| `{robot}` | {len(rows)} | {overturned} | {lost} | {sum(map(_is_lost, rows))} | {error} |")
     return "\n".join(lines)
 
 
-def bent_tables(flights: list[Flight], refusals: list[Refusal]) -> str:
-    """Return the rows of robots that bend, who refuses them, and which robots do not fly here and why."""
-    robots = {name: ROBOTS.get(name) for name in ROBOTS}
-    bend = {name: robot for name, robot in robots.items() if robot.joints is not None}
-    stand = _names(name for name, robot in bend.items() if robot.joints is not None and not robot.joints.floating)
-    limp = _names(name for name, robot in bend.items() if not holds_shape(robot))
-    refused = dict.fromkeys(r.controller for r in refusals)
-    rows = [f"- `{name}`: {_names(r.robot for r in refusals if r.controller == name)}" for name in refused]
+def page(flights: list[Flight], refusals: list[Refusal], joints: tuple[list[Flight], list[Refusal]]) -> str:
+    """Return the tables with hardware and versions; ``joints`` are the flights and refusals of robots with joints."""
+    meant = ", ".join(f"`{family}_*` from `{robot}`" for family, robot in MEANT_FOR.items())
+    versions = f"torch {torch.__version__.split('+')[0]}, Warp {warp.config.version}"
     return "\n\n".join(
         (
-            "Joints move; the controllers take the vehicle as rigid in its reference pose. Drives are told that pose, and the "
-            "tail of `tilt_tricopter` what holds the heading.",
-            table(flights),
-            f"Not flown: {stand}, whose base is on a stand; {limp}, whose drives follow rates or efforts, so that it takes a "
-            "law for the joints to hold a shape, which is no controller's ([joints](../joints.md#snakes-that-hold-and-fold)).",
-            "\n".join(("Refused at 100 Hz:\n", *rows)) if rows else "None is refused.",
-        )
-    )
-
-
-def page(flights: list[Flight], refusals: list[Refusal], bent: tuple[list[Flight], list[Refusal]]) -> str:
-    """Return all tables and what they were made with; ``bent`` are the flights and refusals of robots that bend."""
-    made = (
-        f"{len(flights) + len(bent[0])} flights; {platform.machine()} CPU, Python {platform.python_version()}, "
-        f"torch {torch.__version__.split('+')[0]}, Warp {warp.config.version}."
-    )
-    meant = ", ".join(f"`{family}_*` of `{robot}`" for family, robot in MEANT_FOR.items())
-    return "\n\n".join(
-        (
-            made,
-            "### At 100 Hz",
-            table(flights),
-            "### At other time steps",
-            "Robots, the median of their settling times, their largest overshoot, and how many are lost with rotors at limits.",
-            sims_table(flights),
-            "### In wind at 100 Hz",
+            "## How good is each controller?",
+            "Steps: median settling time [s], largest overshoot, and the number of vehicles lost with rotors at limits.",
+            controllers_table(flights),
+            f"{len(flights) + len(joints[0])} flights in all tables; {platform.machine()} CPU, Python "
+            f"{platform.python_version()}, {versions}.",
+            "## How does each robot answer a step of 1 m?",
+            "Own gains, 100 Hz: settling time [s], overshoot, error from drawn starts [m]. **lost**: with rotors at limits; "
+            "unfit: the law does not fit the vehicle.",
+            steps_table(flights, refusals, geometric_controllers()),
+            "## How large is the error in wind?",
             wind_table(flights),
-            "### Refused by name",
+            "## Gains of another robot",
+            f"These controllers take the gains of one robot: {meant}. Cells are as above. Other robots are not judged "
+            "with rotors at limits.",
+            steps_table(flights, refusals, named_controllers()),
+            "## Refused by name",
             refusals_table(refusals),
-            "### Gains that a name means, on other vehicles",
-            f"A step of a metre at 100 Hz: settling, overshoot; and the error from drawn starts. Names mean gains: {meant}.",
-            foreign_table(flights, refusals),
-            "### Robots that bend, at 100 Hz",
-            bent_tables(*bent),
+            "## Robots with joints",
+            joints_table(joints[0]),
         )
     )
 

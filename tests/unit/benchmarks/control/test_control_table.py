@@ -13,11 +13,11 @@ from benchmarks.control.control_table import (
     BEGIN,
     END,
     Refusal,
+    controllers_table,
     fly_all,
-    foreign_table,
+    joints_table,
     refusals_table,
-    sims_table,
-    table,
+    steps_table,
     wind_table,
 )
 
@@ -28,48 +28,49 @@ FLIGHT = Flight(
 )  # fmt: skip
 
 
-def test_a_row_says_what_came_of_the_flights_and_who_was_lost() -> None:
-    row = table([FLIGHT]).splitlines()[-1]
-    assert row == (
-        "| `magpie` | `magpie_position_control` | 0.0058 m | 4.7 s, 0% | 0.49, 0.51 m | 92%, > 10 s, 5%, 1.8e+02 m **lost** |"
-    )
-    wet = replace(FLIGHT, wind_error=nan, error=1e-5, tilt_rad=2.0, limit_error=0.1, limit_settling_s=5.0)
-    assert "| < 0.001 m **fell** | 4.7 s, 0% | - | 92%, 5 s, 5%, 0.1 m |" in table([wet])
-
-
-def test_gains_on_another_vehicle_stand_in_a_table_of_their_own() -> None:
-    foreign = replace(FLIGHT, robot="lmf2", overshoot=0.08)
+def test_steps_by_robot_with_lost_vehicles_and_refusals() -> None:
+    foreign = replace(FLIGHT, robot="lmf2", overshoot=0.08, error=1e-5)
     refusals = [
         Refusal("tinyprop", "magpie_position_control", "base_sim", "robot tinyprop ... is nearly unstable"),
         Refusal("base_rov", "magpie_position_control", "base_sim", "law 'position': moves sideways by leaning"),
     ]
-    assert "lmf2" not in table([FLIGHT, foreign])
-    rows = foreign_table(
-        [FLIGHT, foreign, *(replace(FLIGHT, robot=r.robot, controller="pid") for r in refusals)], refusals
-    )
-    assert "| `lmf2` | - | 4.7 s, 8%, 0.0058 m | - | - |" in rows
-    assert "| `tinyprop` | - | refused | - | - |" in rows
-    assert "| `base_rov` | - | not for it | - | - |" in rows
+    rows = steps_table([FLIGHT, foreign], refusals, ["magpie_position_control", "magpie_rates_control"]).splitlines()
+    assert rows == [
+        "| robot | `magpie_position_control` |",
+        "| --- | --- |",
+        "| `magpie` | 4.7, 0%, 0.0058, **lost** |",
+        "| `lmf2` | 4.7, 8%, < 0.001 |",
+        "| `tinyprop` | refused |",
+        "| `base_rov` | unfit |",
+    ]
     refusals += [replace(r, controller="magpie_velocity_control") for r in refusals]
     names = "`magpie_position_control`, `magpie_velocity_control`"
-    assert refusals_table(refusals).splitlines()[-1] == f"| {names} | `base_rov` | `tinyprop` | - | - |"
+    assert refusals_table(refusals).splitlines()[-1] == f"| {names} | `base_rov` | `tinyprop` |"
 
 
-def test_sims_are_compared_over_the_robots_of_a_controller() -> None:
+def test_controllers_are_compared_over_their_robots_at_each_sim() -> None:
     law = replace(FLIGHT, controller="lee_position_control", limit_error=0.0)
-    others = [replace(law, robot=f"r{i}", settling_s=2.0 + i, overshoot=0.01 * i) for i in range(3)]
+    others = [replace(law, robot=f"r{i}", settling_s=2.0 + i, overshoot=0.01 * i, error=0.1 * i) for i in range(3)]
     lost = replace(others[0], sim="base_sim_2ms", limit_error=11.0)
-    assert "| `lee_position_control` | 3: 3 s, 2% | 1: 2 s, 0%, 1 lost | - |" in sims_table([*others, lost])
+    foreign = replace(FLIGHT, robot="lmf2", error=9.0)
+    rows = controllers_table([*others, lost, foreign]).splitlines()
+    assert rows[2:] == ["| `lee_position_control` | 3 | 0.2 m (`r2`) | 3, 2% | 2, 0%, 1 lost | - |"]
 
 
-def test_what_is_left_of_the_error_in_wind_by_controller() -> None:
+def test_error_in_wind_by_controller() -> None:
     law = replace(FLIGHT, controller="lee_position_control", wind_error=0.49, wind_largest=0.5)
     falls = replace(law, controller="px4_position_control", wind_error=0.1)
     rows = wind_table([law, replace(law, robot="lmf2", wind_error=0.45), replace(law, law="rates"), falls, wet(law)])
     assert rows.splitlines()[2:] == [
-        "| `lee_position_control` | 2 | 94% | 90% (`lmf2`) |",
-        "| `px4_position_control` | 1 | 20% | 20% (`magpie`) |",
+        "| `lee_position_control` | 2 | 0.47 m | 0.49 m (`magpie`) | 94% |",
+        "| `px4_position_control` | 1 | 0.1 m | 0.1 m (`magpie`) | 20% |",
     ]
+
+
+def test_robots_with_joints_by_the_number_of_controllers_that_lose_them() -> None:
+    held = replace(FLIGHT, robot="morphy", controller="lee_position_control", error=0.091, limit_error=0.1)
+    fell = replace(held, controller="lee_rates_control", error=inf, tilt_rad=2.0, overshoot=inf, limit_error=inf)
+    assert joints_table([held, fell]).splitlines()[-1] == "| `morphy` | 2 | 1 | 1 | 1 | 0.091 |"
 
 
 def wet(flight: Flight) -> Flight:
@@ -96,13 +97,12 @@ def test_the_page_is_written_between_its_marks(
     monkeypatch.setattr("sys.argv", ["control_table", "--json", "--write", str(path), "--out", str(tmp_path)])
     control_table.main()
     text = path.read_text(encoding="utf-8")
-    assert text.startswith(f"before\n{BEGIN}\n2 flights; ")
+    assert text.startswith(f"before\n{BEGIN}\n## ")
     assert text.endswith(f"{END}\nafter\n")
-    assert "`magpie_*` of `magpie`" in text
+    assert "2 flights in all tables; " in text
+    assert "`magpie_*` from `magpie`" in text
     assert "of before" not in text
-    assert "| `morphy` | `lee_position_control` | inf m | **lost** |" in text
-    assert "Not flown: `morphy_fixed_base`, whose base is on a stand; `snakey`, `snakey_effort`, `snakey5`," in text
-    assert "- `fully_actuated_control`: `morphy`" in text
+    assert "| `morphy` | 1 | 0 | 1 | 1 | inf |" in text
     row = json.loads(capsys.readouterr().out.partition("\n")[0])
     assert (row["limit_error"], row["limit_settling_s"]) == (180.0, None)
     assert (tmp_path / "control_steps.png").stat().st_size > 10_000
