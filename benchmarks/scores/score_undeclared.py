@@ -335,12 +335,12 @@ def _line(row: dict) -> str:
 
 def _page(rows: list[dict], arguments: list[str]) -> str:
     """Return the page with the tables and how they were made."""
-    return f"""# The loop on flights with an undeclared effect
+    return f"""# Does the loop name an undeclared effect?
 
 `python -m benchmarks.scores.score_undeclared {" ".join(arguments)}`
 
-An independent plant (`benchmarks/undeclared`; its README has the equations) flies with an effect that its robot file does
-not mention; the loop gets the logs and the robot file.
+An independent plant (`benchmarks/undeclared`) flies with an effect that its robot file does not mention. `close-loop` gets the
+logs and the robot file.
 
 {right_line(rows)}
 

@@ -44,8 +44,7 @@ def markdown(rows: list[Row]) -> str:
     rows = [r for r in rows if r not in hover]
     hidden = [r for r in rows if r["effects"] and not _unknown(r)]
     parts = [
-        _names("## Names, by effect and size", hidden, lambda r: (r["hidden"], r["size"])),
-        _names("## Names, by size", hidden, lambda r: ("all", r["size"])),
+        _names(hidden),
         _parameters(hidden),
         _controls([r for r in rows if not r["effects"]]),
         _hover(hover),
@@ -70,17 +69,32 @@ def _judged(row: Row) -> str:
     return "error" if "error" in row else row["judgement"]
 
 
-def _names(title: str, rows: list[Row], key: Callable[[Row], tuple[str, ...]]) -> str:
-    """Near: only the hidden effects and what the package lists as confused with them; missed: nothing named."""
+def _names(rows: list[Row]) -> str:
+    """Return a row for each hidden effect: how often it is named right, by size, and the other judgements."""
     if not rows:
         return ""
-    lines = [title, "", "| hidden | size | cases | right | near | wrong | missed | error | named instead |"]
-    lines.append("| --- | --- | --- | --- | --- | --- | --- | --- | --- |")
-    for (name, size), group in _groups(rows, key).items():
-        counts = " | ".join(str(sum(_judged(r) == judgement for r in group)) for judgement in JUDGEMENTS)
-        others = sorted({"+".join(r["named"]) for r in group if _judged(r) != "right" and r["named"]})
-        lines.append(f"| {name} | {size} | {len(group)} | {counts} | {', '.join(others) or '-'} |")
+    sizes = list(dict.fromkeys(row["size"] for row in rows))
+    lines = ["## Which effects are named right?", "", f"| hidden | {' | '.join(sizes)} | the others |"]
+    lines.append("| --- | --- |" + " --- |" * len(sizes))
+    groups = {name: group for (name,), group in _groups(rows, lambda r: (r["hidden"],)).items()}
+    groups["all"] = [{**row, "named": []} for row in rows]
+    for name, group in groups.items():
+        by_size = {size: [r for r in group if r["size"] == size] for size in sizes}
+        right = [f"{sum(_judged(r) == 'right' for r in cases)} of {len(cases)}" for cases in by_size.values()]
+        others = "; ".join(f"{size}: {text}" for size, cases in by_size.items() if (text := _others(cases)))
+        lines.append(f"| {name} | {' | '.join(right)} | {others or '-'} |")
     return "\n".join(lines)
+
+
+def _others(rows: list[Row]) -> str:
+    """Return the judgements of cases that are not right, each with its number and the names that were given."""
+    parts = []
+    for judgement in JUDGEMENTS[1:]:
+        group = [r for r in rows if _judged(r) == judgement]
+        names = ", ".join(sorted({"+".join(r["named"]) for r in group if r["named"]}))
+        if group:
+            parts.append(f"{len(group)} {judgement}" + (f" ({names})" if names else ""))
+    return ", ".join(parts)
 
 
 def _parameters(rows: list[Row]) -> str:
@@ -89,10 +103,10 @@ def _parameters(rows: list[Row]) -> str:
     if not found:
         return ""
     lines = [
-        "## Parameters of the effects that were named",
+        "## How accurate are the parameters?",
         "",
-        "Error: median and largest of |estimate - truth|, in units of the parameter. Coverage: truth inside the 95 % interval, "
-        "with the 95 % Clopper-Pearson interval of that share.",
+        "Error: |estimate - truth| in SI units, over the effects that were named. Coverage: cases whose 95 % interval "
+        "contains the true value, with the Clopper-Pearson interval of that share.",
         "",
         "| effect | parameter | number | median error | largest error | median relative error | coverage |",
         "| --- | --- | --- | --- | --- | --- | --- |",
@@ -121,7 +135,7 @@ def _hover(rows: list[Row]) -> str:
     if not rows:
         return ""
     lines = [
-        "## Training flights that only hover, test flights that move",
+        "## What do flights show that only hover?",
         "",
         "| hidden | seed | verdict | named | candidates |",
     ]
@@ -136,7 +150,7 @@ def _controls(rows: list[Row]) -> str:
     if not rows:
         return ""
     lines = [
-        "## False alarms, nothing hidden",
+        "## Are there false alarms?",
         "",
         "| flights | cases | false alarms | named |",
         "| --- | --- | --- | --- |",
@@ -151,8 +165,8 @@ def _controls(rows: list[Row]) -> str:
 def _unknown_table(rows: list[Row]) -> str:
     if not rows:
         return ""
-    lines = ["## Causes outside the package", ""]
-    lines += ["| cause | size | cases | given a name of the package | which | verdicts | structure |"]
+    lines = ["## Do unknown causes get a wrong name?", ""]
+    lines += ["| cause | size | cases | given the name of an effect | which | verdicts | structure |"]
     lines += ["| --- | --- | --- | --- | --- | --- | --- |"]
     for (name, size), group in _groups(rows, lambda r: (r["hidden"], r["size"])).items():
         given = [r for r in group if _judged(r) == "given a name"]

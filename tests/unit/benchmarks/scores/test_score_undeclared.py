@@ -131,7 +131,9 @@ def test_tables_count_the_rows() -> None:
     rows = [fake_row(job) for job in jobs]
     assert right_line(rows) == "right 16 of 16; true value inside 12 of 12 intervals"
     text = markdown(rows)
-    assert "| rotor_drag | moderate | 2 | 2 | 0 | 0 | 0 | 0 | - |" in text
+    assert "| rotor_drag | 2 of 2 | - |" in text
+    missed = [{**row, "judgement": "missed", "named": []} if row["hidden"] == "gusts" else row for row in rows]
+    assert "| gusts | 0 of 2 | moderate: 2 missed |" in markdown(missed)
     assert "| gusts | a | 2 | 0.1 | 0.1 | 10.00% | 2 of 2 (100 %, 16 to 100) |" in text
     assert "| battery | 2 | 0 of 2 (0 %, 0 to 84) | - |" in text
     assert "| unknown_time | moderate | 2 | 0 of 2 (0 %, 0 to 84) | - | explained | - |" in text
