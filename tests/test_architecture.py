@@ -116,7 +116,7 @@ def test_rooms_of_sim2real_import_left() -> None:
 
 
 def test_effects_import_nothing_from_the_fused_kernel() -> None:
-    """The kernel is composed of effects, so what both need lies below them: ``math`` and ``physics.rotors``."""
+    """The kernel is composed of effects, so what both need lies below them: ``math`` and ``physics.rotor_maps``."""
     files = sorted((ROOT / "physics" / "effects").rglob("*.py"))
     assert [
         path.name for path in files if any(name.startswith("aerial_gym.physics.fused") for name in module_imports(path))

@@ -10,7 +10,7 @@ import warp as wp
 
 from aerial_gym.control.lee_fused import Gains, read_vec3
 from aerial_gym.control.timing import Timing
-from aerial_gym.math.warp_functions import vector_of
+from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.fused.allocation import make_prioritised_thrust
 from aerial_gym.physics.fused.command import make_limited, make_speed_of
 from aerial_gym.physics.fused.law import FusedLaw, preparation
@@ -64,7 +64,7 @@ def make_remembering(
         run: ``wp.func`` of one run, with the arguments of ``remembering`` below and ``since``.
     """
     types = rotor_types(num_rotors, general)
-    command_type, vector, action_type = types.command, types.vector, vector_of(law.num_actions)
+    command_type, vector, action_type = types.command, types.vector, vector_type(law.num_actions)
     gains_type, held, loop_steps = law.gains_type, layout.held, timing.loop
     late = make_late_action(law.num_actions, timing, layout)
 
@@ -93,7 +93,7 @@ def make_remembering(
 def make_one_level(law: FusedLaw, num_rotors: int, general: bool, lee_law: "Law") -> wp.Function:
     """Return the run of a law without a rate loop."""
     types = rotor_types(num_rotors, general)
-    command_type, vector, action_type = types.command, types.vector, vector_of(law.num_actions)
+    command_type, vector, action_type = types.command, types.vector, vector_type(law.num_actions)
     allot, speed_of = make_allot(law, num_rotors, general), make_speed_of(num_rotors, general)
     law_wrench, prepare, gains_type = lee_law.fused, preparation(lee_law.prepare, law.num_actions), law.gains_type
 
@@ -112,7 +112,7 @@ def make_one_level(law: FusedLaw, num_rotors: int, general: bool, lee_law: "Law"
 
 def make_wish(law: FusedLaw, lee_law: "Law") -> wp.Function:
     """Return the thrust [N] and the body rates [rad/s] that a geometric law wants of its rate loop."""
-    action_type, gains_type = vector_of(law.num_actions), law.gains_type
+    action_type, gains_type = vector_type(law.num_actions), law.gains_type
     law_wrench, prepare = lee_law.fused, preparation(lee_law.prepare, law.num_actions)
 
     @wp.func
@@ -131,7 +131,7 @@ def make_two_levels(
 ) -> wp.Function:
     """Return the run of a law over a rate loop, with what is on its way between them."""
     types = rotor_types(num_rotors, general)
-    command_type, vector, action_type = types.command, types.vector, vector_of(law.num_actions)
+    command_type, vector, action_type = types.command, types.vector, vector_type(law.num_actions)
     gains_type, period, slots, delay = law.gains_type, timing.law, timing.setpoint_slots, timing.delay
 
     @wp.func
@@ -156,7 +156,7 @@ def make_two_levels(
 
 def make_late_action(num_actions: int, timing: Timing, layout: "Layout") -> wp.Function:
     """Return a function to the action that has come through; the one of this step is on its way."""
-    action_type, first = vector_of(num_actions), layout.actions
+    action_type, first = vector_type(num_actions), layout.actions
     slots, delay = timing.action_slots, timing.action_delay
 
     @wp.func

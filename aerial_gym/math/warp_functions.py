@@ -9,7 +9,7 @@ from typing import Any
 import warp as wp
 
 
-def vector_of(length: int) -> Any:
+def vector_type(length: int) -> Any:
     """Return the type of a vector of floats."""
     return wp.types.vector(length=length, dtype=wp.float32)
 
@@ -88,17 +88,17 @@ class _Root:
 
 
 @wp.func
-def _root_of(a: wp.mat33) -> _Root:
-    found = _Root()
+def _cholesky_root(a: wp.mat33) -> _Root:
+    factor = _Root()
     x = 1.0 / wp.sqrt(a[0, 0])
     along = a[1, 0] * x
     far = a[2, 0] * x
     y = 1.0 / wp.sqrt(a[1, 1] - along * along)
     across = (a[2, 1] - far * along) * y
     z = 1.0 / wp.sqrt(a[2, 2] - far * far - across * across)
-    found.diagonal = wp.vec3(x, y, z)
-    found.below = wp.vec3(along, far, across)
-    return found
+    factor.diagonal = wp.vec3(x, y, z)
+    factor.below = wp.vec3(along, far, across)
+    return factor
 
 
 @wp.func
@@ -119,18 +119,18 @@ def _backwards(root: _Root, v: wp.vec3) -> wp.vec3:
 
 @wp.func
 def solve_motion(push: wp.mat33, mixed: wp.mat33, turn: wp.mat33, force: wp.vec3, torque: wp.vec3):
-    """Return what solves ``push v + mixedᵀ w = force, mixed v + turn w = torque`` for v and w, by Cholesky's method.
+    """Return v and w with ``push v + mixedᵀ w = force`` and ``mixed v + turn w = torque``, by Cholesky's method.
 
-    The matrix of the four blocks is symmetric and positive, and need not be well conditioned: Cholesky's method is backward
-    stable, so that the error is that of float32 times the condition (Higham, Accuracy and stability of numerical algorithms,
+    The matrix of the four blocks is symmetric and positive definite. Cholesky's method is backward stable: the error is that
+    of float32 times the condition number (Higham, Accuracy and stability of numerical algorithms,
     chapter 10). By 3 x 3 inverses of cofactors the worst in a thousand contacts was five times as far off.
     """
-    first = _root_of(push)
+    first = _cholesky_root(push)
     x = _forwards(first, wp.vec3(mixed[0, 0], mixed[0, 1], mixed[0, 2]))
     y = _forwards(first, wp.vec3(mixed[1, 0], mixed[1, 1], mixed[1, 2]))
     z = _forwards(first, wp.vec3(mixed[2, 0], mixed[2, 1], mixed[2, 2]))
     beside = wp.matrix_from_rows(x, y, z)
-    second = _root_of(turn - beside * wp.transpose(beside))
+    second = _cholesky_root(turn - beside * wp.transpose(beside))
     moved = _forwards(first, force)
     turned = _backwards(second, _forwards(second, torque - beside * moved))
     return _backwards(first, moved - wp.transpose(beside) * turned), turned
@@ -147,7 +147,7 @@ def world_up(q: wp.quat) -> wp.vec3:
 
 
 @wp.func
-def euler_of(q: wp.quat) -> wp.vec3:
+def euler_angles(q: wp.quat) -> wp.vec3:
     """Return ZYX roll, pitch, yaw [rad]: ``math.quaternion.euler_from_quat``."""
     return wp.vec3(
         wp.atan2(2.0 * (q[3] * q[0] + q[1] * q[2]), 1.0 - 2.0 * (q[0] * q[0] + q[1] * q[1])),

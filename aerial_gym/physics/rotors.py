@@ -5,11 +5,8 @@ Frames: body is x forward, y left, z up. Letters: E environments, R rotors.
 """
 
 from dataclasses import replace
-from functools import cache
-from typing import Any
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.math.rows import times
@@ -204,41 +201,3 @@ def hover_speed(vehicle: Vehicle, gravity: float) -> Tensor:
     """Return the rotor states (R,) [rad/s], in force mode [N], at which each rotor carries an equal share of the weight."""
     share = (vehicle.mass * gravity / vehicle.num_rotors).unsqueeze(-1).expand(-1, vehicle.num_rotors)
     return torch.clamp(state_for_thrust(vehicle, share)[0], vehicle.speed_low[0], vehicle.speed_high[0])
-
-
-@cache
-def make_maps(vehicle: Any) -> tuple[wp.Function, wp.Function]:
-    """Return the Warp functions of ``rotor_thrust`` and ``rotor_torque``, (vehicle, rotor, state) -> [N], [N m].
-
-    Args:
-        vehicle: The ``wp.struct`` of the vehicle.
-    """
-
-    @wp.func
-    def thrust(plant: vehicle, i: int, n: float) -> float:
-        return plant.thrust_map[i, 0] + n * (plant.thrust_map[i, 1] + n * plant.thrust_map[i, 2])
-
-    @wp.func
-    def torque(plant: vehicle, i: int, n: float) -> float:
-        return plant.torque_map[i, 0] + n * (plant.torque_map[i, 1] + n * plant.torque_map[i, 2])
-
-    if "reverse_thrust_map" not in vehicle.vars:
-        return thrust, torque
-
-    @wp.func
-    def signed_thrust(plant: vehicle, i: int, n: float) -> float:
-        value = thrust(plant, i, n)
-        if n < 0.0:
-            backwards = plant.reverse_thrust_map
-            value = -(backwards[i, 0] - n * (backwards[i, 1] - n * backwards[i, 2]))
-        return value
-
-    @wp.func
-    def signed_torque(plant: vehicle, i: int, n: float) -> float:
-        value = torque(plant, i, n)
-        if n < 0.0:
-            backwards = plant.reverse_torque_map
-            value = -(backwards[i, 0] - n * (backwards[i, 1] - n * backwards[i, 2]))
-        return value
-
-    return signed_thrust, signed_torque

@@ -24,7 +24,7 @@ from aerial_gym.interop import (
 )
 from aerial_gym.math.draws import random_arrays
 from aerial_gym.math.random import Randomness
-from aerial_gym.math.warp_functions import vector_of
+from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.backend import Capabilities, ControlLaw, EffectsThatRun
 from aerial_gym.physics.contact import position_share
 from aerial_gym.physics.effects import Effect, FluidEffect, LoadEffect
@@ -372,7 +372,7 @@ class WarpBackend:
         """Record the launches for tensors of fixed address, so that a step makes no views."""
         check_substeps(self._hook, substeps)
         arrays = self._arrays(state)
-        inputs = [*arrays, self._view(command, vector_of(self._num_actions), "command"), *self._shared]
+        inputs = [*arrays, self._view(command, vector_type(self._num_actions), "command"), *self._shared]
         ground = self._ground
         inputs += [wp.from_torch(self._packed), *ground[:3], self._model.gravity, dt, substeps]
         creep = [] if self._dashpots is None else [wp.from_torch(self._dashpots)]
@@ -400,13 +400,13 @@ class WarpBackend:
     def _arrays(self, state: BodyState) -> list[wp.array]:
         kinds = self._kinds()[:-1]
         if self._model.articulation is not None:
-            kinds = (*kinds, *(vector_of(self._model.articulation.num_joints),) * 2)
+            kinds = (*kinds, *(vector_type(self._model.articulation.num_joints),) * 2)
         return [self._view(tensor, kind, name) for (name, tensor), kind in zip(vars(state).items(), kinds, strict=True)]
 
     def _kinds(self) -> tuple[type, ...]:
         """Return the Warp types of the tensors of a state and of an action."""
         rotors = rotor_types(self._num_rotors).vector
-        return wp.vec3, wp.quat, wp.vec3, wp.vec3, rotors, vector_of(self._law.num_actions)
+        return wp.vec3, wp.quat, wp.vec3, wp.vec3, rotors, vector_type(self._law.num_actions)
 
     def _view(self, tensor: Tensor, kind: type, name: str) -> wp.array:
         shape = (self._num_envs, kind._length_)

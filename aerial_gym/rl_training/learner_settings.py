@@ -146,7 +146,7 @@ class PpoCfg(ReturnCfg):
         if not 0.0 <= self.entropy_coef < inf:
             raise ConfigError(f"PpoCfg.entropy_coef = {self.entropy_coef!r}: must be >= 0 and finite")
 
-    def max_learning_rate_at(self, share: float) -> float:
+    def learning_rate_limit(self, share: float) -> float:
         """Return the upper bound of the learning rate after a share, 0 to 1, of the training."""
         return self.max_learning_rate + (self.end_learning_rate - self.max_learning_rate) * min(max(share, 0.0), 1.0)
 

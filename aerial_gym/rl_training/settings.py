@@ -5,7 +5,6 @@ Letters: E environments.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from math import inf
 from pathlib import Path
 from typing import TypeVar
@@ -17,7 +16,7 @@ from aerial_gym.config.loader import convert
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import resolve_device
 from aerial_gym.rl_training.learner_settings import ApgCfg, DistillCfg, LearnerCfg, PpoCfg
-from aerial_gym.rl_training.trainers.catalog import TRAINERS, trainers_with
+from aerial_gym.rl_training.trainers.catalog import TRAINERS, trainer_names
 
 TRAINING_CONFIGS = CONFIG_DIR / "training"
 """Folder of the package's settings: ``TRAINER_TASK.yaml``, the task without its ``_task``. ``TRAINER_TASK_cpu.yaml`` is
@@ -108,7 +107,7 @@ class TrainingCfg:
     source: str
     """Source of the numbers."""
 
-    @cached_property
+    @property
     def learner(self) -> LearnerCfg:
         """Settings of the learner."""
         trainer = TRAINERS.get(self.trainer)
@@ -139,12 +138,12 @@ class TrainingCfg:
         if self.teacher is not None and not trainer.takes_teacher:
             raise ConfigError(
                 f"TrainingCfg.teacher = {self.teacher}: trainer {self.trainer} has none. "
-                f"Use {trainers_with('takes_teacher')}"
+                f"Use {trainer_names('takes_teacher')}"
             )
         if self.initial is not None and not trainer.takes_initial:
             raise ConfigError(
                 f"TrainingCfg.initial = {self.initial}: trainer {self.trainer} begins anew. "
-                f"Use {trainers_with('takes_initial')}"
+                f"Use {trainer_names('takes_initial')}"
             )
         learner = self.learner
         special = learner.memory or learner.critic_keys

@@ -27,7 +27,7 @@ from aerial_gym.rl_training.run.progress import Progress
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.run.weights_and_biases import require_wandb, sent_to_wandb
 from aerial_gym.rl_training.settings import TrainingCfg
-from aerial_gym.rl_training.trainers.catalog import TRAINERS, trainers_with
+from aerial_gym.rl_training.trainers.catalog import TRAINERS, trainer_names
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sensors.encoder.file import load_encoder
 from aerial_gym.task import task_registry
@@ -104,7 +104,7 @@ def train(
         if ranks.size > 1 and not TRAINERS.get(cfg.trainer).several_processes:
             raise ConfigError(
                 f"trainer {cfg.trainer} learns in one process, and {ranks.size} were started. Leave torchrun out, or use "
-                f"--trainer {trainers_with('several_processes')}"
+                f"--trainer {trainer_names('several_processes')}"
             )
         with contextlib.nullcontext() if resume else _begun(cfg, folder, ranks):
             return _train(

@@ -12,7 +12,7 @@ from torch import Tensor
 from aerial_gym.interop import RecordedLaunch, make_struct, start_warp
 from aerial_gym.interop.rows.transport import load_quat, store_row, store_vector
 from aerial_gym.interop.streams import BLOCK_DIM
-from aerial_gym.math.warp_functions import euler_of
+from aerial_gym.math.warp_functions import euler_angles
 from aerial_gym.physics import BodyState
 from aerial_gym.robots.finite import NonFinite
 
@@ -35,7 +35,7 @@ class DerivedArrays:
 @wp.func
 def derive(q: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3):
     """Return the derived states of one environment."""
-    euler = euler_of(q)
+    euler = euler_angles(q)
     level = wp.quat(0.0, 0.0, wp.sin(0.5 * euler[2]), wp.cos(0.5 * euler[2]))
     turn = wp.quat_rotate(q, ang_vel)
     lin_vel_body = wp.quat_rotate_inv(q, lin_vel)

@@ -15,13 +15,13 @@ from aerial_gym.assets.nearest import Core, Nearest, as_box, nearest_of_core
 from aerial_gym.assets.scene_arrays import SceneArrays, part_attitude, part_is_present, part_position
 from aerial_gym.assets.shape_row import BOX, Shape
 from aerial_gym.assets.views import vector_view
-from aerial_gym.math.warp_functions import rotate, vector_of
+from aerial_gym.math.warp_functions import rotate, vector_type
 from aerial_gym.physics.fused.contact import point_velocity, rows_of
 
 MAX_CONTACTS = 8
 """Pairs of sphere and part that push in one step; of more, the deepest."""
 
-_gaps_type, _rows_type = vector_of(MAX_CONTACTS), rows_of(MAX_CONTACTS)
+_gaps_type, _rows_type = vector_type(MAX_CONTACTS), rows_of(MAX_CONTACTS)
 
 
 @wp.struct

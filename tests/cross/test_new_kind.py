@@ -86,7 +86,7 @@ class Duct(DuctEffect):
 
 
 @pytest.fixture(autouse=True)
-def _registered(monkeypatch: pytest.MonkeyPatch) -> None:
+def register_duct(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(EFFECTS._entries, Duct.name, Duct())
 
 
@@ -121,11 +121,11 @@ def test_predictor_and_rollout_follow_a_new_kind() -> None:
         return push_per_speed * still * (1.0 + 0.1 * -np.expm1(-np.maximum(time - 2.0, 0.0) / TAU)) / ROBOT.body.mass
 
     predictor = Predictor(ROBOT, [flight], bandwidth=10.0, channels=find_channels([flight]), tolerances=Tolerances())
-    found, bare = (predictor.predict(p)[0] for p in (params, ModelParams()))
+    ducted, bare = (predictor.predict(p)[0] for p in (params, ModelParams()))
     time = predictor.times[0]
-    np.testing.assert_allclose((found - bare)[:, 0], push(time), rtol=4e-3)
+    np.testing.assert_allclose((ducted - bare)[:, 0], push(time), rtol=4e-3)
     steady = np.abs(time - 2.0) > 0.5
-    np.testing.assert_allclose((found - bare)[steady, 2], 0.2 * bare[steady, 2], rtol=1e-3)
+    np.testing.assert_allclose((ducted - bare)[steady, 2], 0.2 * bare[steady, 2], rtol=1e-3)
     vehicle, rows = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64), np.array([100, 180, 260])
     run = Batch(vehicle, effects_at(params, 3), [flight], np.zeros(3, dtype=int), rows)
     ((_, state, _),) = run.fly(run.measured(0), {run.steps(0.1)})

@@ -7,13 +7,13 @@ from torch import Tensor
 
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.interop import start_warp
-from aerial_gym.math.warp_functions import vector_of
+from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.contact import POSITION_SHARE, Contacts, _velocity_change
 from aerial_gym.physics.fused.contact import ContactParameters, contact_parameters, make_velocity_change, rows_of
 
 COUNT, TOUCHES, DT, MASS, MOMENTS = 3, 50_000, 0.01, 0.25, (4.0e-4, 4.0e-4, 8.0e-4)
 LAW = ContactCfg(friction=0.6)
-_gaps_type, _rows_type, _change = vector_of(COUNT), rows_of(COUNT), make_velocity_change(COUNT)
+_gaps_type, _rows_type, _change = vector_type(COUNT), rows_of(COUNT), make_velocity_change(COUNT)
 
 
 @wp.kernel(module="unique", enable_backward=False)

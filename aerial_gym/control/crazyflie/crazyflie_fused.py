@@ -19,7 +19,7 @@ from aerial_gym.control.crazyflie.pid import INNER_NUMBERS, LEEWAY, MOST_MOMENT,
 from aerial_gym.control.lee import LEAST_LIFT
 from aerial_gym.control.lee_fused import read_vec3, within_inclination, write_vec3
 from aerial_gym.control.timing import Timing
-from aerial_gym.math.warp_functions import euler_of, rotate_inverse, unit
+from aerial_gym.math.warp_functions import euler_angles, rotate_inverse, unit
 from aerial_gym.physics.fused.command import make_limited, make_speed_of
 from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.fused.memory import LawArrays
@@ -181,7 +181,7 @@ def make_lean(timing: Timing) -> wp.Function:
         arrays: LawArrays, env: int, since: int, dt: float,
     ) -> wp.vec4:  # fmt: skip
         span = wp.static(period) * dt
-        yaw = euler_of(attitude)[2]
+        yaw = euler_angles(attitude)[2]
         cosine = wp.cos(yaw)
         sine = wp.sin(yaw)
         error = in_heading(wp.vec3(action[0], action[1], action[2]) - position, cosine, sine)
@@ -216,7 +216,7 @@ def make_turn(num_rotors: int, general: bool, timing: Timing, signs: Tensor) -> 
         env: int, since: int, dt: float,
     ) -> vector:  # fmt: skip
         span = wp.static(period) * dt
-        angles = wp.static(degrees(1.0)) * euler_of(attitude)
+        angles = wp.static(degrees(1.0)) * euler_angles(attitude)
         rates = wp.static(degrees(1.0)) * ang_vel
         turned = wp.vec3()
         sped = wp.vec3()

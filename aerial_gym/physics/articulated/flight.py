@@ -211,7 +211,7 @@ def link_fluid(model: Model, links: Links, state: TreeState) -> LinkFluid | None
         return None
     ((effect, params),) = model.effects[LinkFluidEffect]
     heavy = links.mass.unsqueeze(-1) > 0.0
-    added = torch.where(heavy, effect.added(links.mass.shape[1], params), 0.0)
+    added = torch.where(heavy, effect.added_mass(links.mass.shape[1], params), 0.0)
     return LinkFluid(added=added, wind=_wind(model, state))
 
 

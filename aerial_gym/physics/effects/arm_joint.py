@@ -35,7 +35,8 @@ from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
 from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.effects.track import Track, relax
-from aerial_gym.physics.rotors import make_maps, rotor_thrust, rotor_torque
+from aerial_gym.physics.rotor_maps import make_maps
+from aerial_gym.physics.rotors import rotor_thrust, rotor_torque
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
 LARGEST_ANGLE = wp.constant(1.0)

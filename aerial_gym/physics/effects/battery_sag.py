@@ -18,7 +18,8 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.physics.effects.base import Moment
 from aerial_gym.physics.effects.kinds.command import CommandEffect
 from aerial_gym.physics.effects.parameter import Parameter
-from aerial_gym.physics.rotors import make_maps, rotor_torque
+from aerial_gym.physics.rotor_maps import make_maps
+from aerial_gym.physics.rotors import rotor_torque
 from aerial_gym.physics.vehicle import Vehicle
 
 LEAST_SQUARE = wp.constant(1e-6)
@@ -75,7 +76,7 @@ class BatterySag(CommandEffect):
         """Return the commanded speeds times the factor."""
         return command * speed_factor(params[:, 2], vehicle.battery[:, 0], params[:, 0]).unsqueeze(-1)
 
-    def measured(self, voltage: Tensor) -> Tensor:
+    def replay_memory(self, voltage: Tensor) -> Tensor:
         """Return no charge and the voltage, (T, 2)."""
         return torch.stack((torch.zeros_like(voltage), voltage), dim=-1)
 

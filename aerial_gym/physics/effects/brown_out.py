@@ -65,7 +65,7 @@ class BrownOut(CommandEffect):
         del vehicle
         return command * params[:, 3:]
 
-    def measured(self, voltage: Tensor) -> Tensor:
+    def replay_memory(self, voltage: Tensor) -> Tensor:
         """Return no failure, (T, 1)."""
         return torch.ones_like(voltage).unsqueeze(-1)
 

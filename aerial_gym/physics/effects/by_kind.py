@@ -58,12 +58,12 @@ class EffectsByKind:
 
     def places(self, num_rotors: int) -> list[Place]:
         """Return the places of parameters and memory of each of ``forces``, for a number of rotors R."""
-        found, params, memory = [], 0, 0
+        places, params, memory = [], 0, 0
         for effect, _ in self.forces:
             width, remembered = len(effect.parameters), len(effect.fresh_memory(num_rotors))
-            found.append(Place(effect, slice(params, params + width), slice(memory, memory + remembered)))
+            places.append(Place(effect, slice(params, params + width), slice(memory, memory + remembered)))
             params, memory = params + width, memory + remembered
-        return found
+        return places
 
     @property
     def remembering(self) -> tuple[str, ...]:
@@ -97,9 +97,9 @@ class EffectsByKind:
 
         Memory that ``moves_with_body`` is part of the state, so these effects keep their parameters alone.
         """
-        found = list(self._all)
+        effects = list(self._all)
         for index, own in zip(self.step_order, numbers, strict=True):
-            effect, params = found[index]
+            effect, params = effects[index]
             if not effect.moves_with_body:
-                found[index] = effect, torch.cat((params, own), dim=-1)
-        return EffectsByKind(found)
+                effects[index] = effect, torch.cat((params, own), dim=-1)
+        return EffectsByKind(effects)

@@ -92,23 +92,23 @@ class Condition:
     @property
     def wake_room(self) -> Tensor:
         """Distance of the hubs to the surface in their wakes [m], (E, R): the ground, or the ceiling if thrust is downward."""
-        return torch.where(self._wake_goes_up, self._room_above, self._room_below)
+        return torch.where(self._wake_goes_up, self._ceiling_clearance, self._ground_clearance)
 
     @property
     def inlet_room(self) -> Tensor:
         """Distance from the hubs to the surface above their inlets [m], (E, R): the ceiling, or the ground likewise."""
-        return torch.where(self._wake_goes_up, self._room_below, self._room_above)
+        return torch.where(self._wake_goes_up, self._ground_clearance, self._ceiling_clearance)
 
     @property
     def _wake_goes_up(self) -> Tensor:
         return self.rotor_thrust * self.axis_height < 0.0
 
     @cached_property
-    def _room_below(self) -> Tensor:
+    def _ground_clearance(self) -> Tensor:
         return self.hub_altitude - self.ground_height
 
     @cached_property
-    def _room_above(self) -> Tensor:
+    def _ceiling_clearance(self) -> Tensor:
         return (self.ceiling_height - self.hub_altitude).nan_to_num(nan=inf)
 
     @cached_property
@@ -123,13 +123,15 @@ class Condition:
 
     def with_thrust(self, thrust: Tensor) -> "Condition":
         """Return the condition with other thrusts [N], (E, R); cached quantities of the motion are kept."""
-        return self._with(replace(self, rotor_thrust=thrust))
+        return self._same_motion(replace(self, rotor_thrust=thrust))
 
     def of_vehicle(self, vehicle: Vehicle, thrust: Tensor) -> "Condition":
         """Return the condition of a vehicle of the same centre of mass and hubs, with its thrusts [N], (E, R)."""
-        return self if vehicle is self.vehicle else self._with(replace(self, vehicle=vehicle, rotor_thrust=thrust))
+        return (
+            self if vehicle is self.vehicle else self._same_motion(replace(self, vehicle=vehicle, rotor_thrust=thrust))
+        )
 
-    def _with(self, other: "Condition") -> "Condition":
+    def _same_motion(self, other: "Condition") -> "Condition":
         """Return another condition of the same motion, with the quantities of the motion that are cached here."""
         for name in _FROM_MOTION & vars(self).keys():
             vars(other)[name] = vars(self)[name]

@@ -9,7 +9,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.math.warp_functions import vector_of
+from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.effects.base import ANY_ROTOR
 from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.kinds.wrench import LinearWrenchEffect
@@ -48,7 +48,7 @@ class HullDrag(LinearWrenchEffect):
 
     def warp_wrench(self, condition: type) -> wp.Function:
         """Return the same in Warp."""
-        twelve = vector_of(12)
+        twelve = vector_type(12)
 
         @wp.func
         def hull_drag(at: condition, p: twelve) -> wp.spatial_vector:

@@ -23,7 +23,7 @@ from typing import ClassVar
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.math.warp_functions import vector_of
+from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.effects.kinds.link import LinkFluidEffect
 from aerial_gym.physics.effects.on_links import ByLink
 from aerial_gym.physics.effects.parameter import Parameter
@@ -69,16 +69,16 @@ class LinkAddedMass(ByLink, LinkFluidEffect):
     instead = ("added_mass", "added_inertia")
     medium = "water"
 
-    def added(self, num_links: int, params: Tensor) -> Tensor:
+    def added_mass(self, num_links: int, params: Tensor) -> Tensor:
         """Return the diagonals of A and B of every link, (E, L, 6)."""
         return self.numbers(num_links, params)
 
-    def warp_added(self, link: int) -> wp.Function | None:
+    def warp_added_mass(self, link: int) -> wp.Function | None:
         """Return the same in Warp; a link without any costs nothing."""
         if not self.has(link, *_MASSES, *_INERTIAS):
             return None
         masses, inertias = self.warp_numbers(link, *_MASSES), self.warp_numbers(link, *_INERTIAS)
-        params_type = vector_of(len(self.parameters))
+        params_type = vector_type(len(self.parameters))
 
         @wp.func
         def link_added_mass(params: params_type) -> wp.spatial_vector:

@@ -14,7 +14,7 @@ from typing import ClassVar
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.math.warp_functions import vector_of
+from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.effects.buoyancy import buoyant, warp_buoyant
 from aerial_gym.physics.effects.kinds.link import LinkWrenchEffect
 from aerial_gym.physics.effects.on_links import ByLink
@@ -59,7 +59,7 @@ class LinkBuoyancy(ByLink, LinkWrenchEffect):
         if not self.has(link, "force"):
             return None
         force, lever = self.warp_numbers(link, "force"), self.warp_numbers(link, *"xyz")
-        params_type = vector_of(len(self.parameters))
+        params_type = vector_type(len(self.parameters))
 
         @wp.func
         def link_buoyancy(up: wp.vec3, params: params_type) -> wp.spatial_vector:

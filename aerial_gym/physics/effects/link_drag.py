@@ -14,7 +14,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.math.warp_functions import vector_of
+from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.effects.kinds.link import LinkEffect
 from aerial_gym.physics.effects.on_links import ByLink
 from aerial_gym.physics.effects.parameter import Parameter
@@ -59,7 +59,7 @@ class LinkDrag(ByLink, LinkEffect):
         each = (_LINEAR, _QUADRATIC, _TURNING, _WHIRLING)
         if not any(self.has(link, *names) for names in each):
             return None
-        params_type = vector_of(len(self.parameters))
+        params_type = vector_type(len(self.parameters))
         linear, quadratic, turning, whirling = (self.warp_numbers(link, *names) for names in each)
         any_quadratic, any_whirling = self.has(link, *_QUADRATIC), self.has(link, *_WHIRLING)
 

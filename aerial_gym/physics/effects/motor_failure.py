@@ -58,7 +58,7 @@ class MotorFailure(CommandEffect):
         """Return the commands with that of one rotor times the factor."""
         return command * (1.0 + chosen_rotor(vehicle, params[:, 0]) * (params[:, 3:] - 1.0))
 
-    def measured(self, voltage: Tensor) -> Tensor:
+    def replay_memory(self, voltage: Tensor) -> Tensor:
         """Return no failure, (T, 1)."""
         return torch.ones_like(voltage).unsqueeze(-1)
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.math.warp_functions import vector_of
+from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.effects.parameter import Parameter
 
 
@@ -81,7 +81,7 @@ class ByLink:
 
     def warp_numbers(self, link: int, *columns: str) -> wp.Function:
         """Return a function from the parameters to up to three numbers of a link, ``wp.vec3``; zero where there is none."""
-        places, params_type = self._places(link), vector_of(len(self.parameters))
+        places, params_type = self._places(link), vector_type(len(self.parameters))
         found = [places.get(column) for column in columns] + [None] * (3 - len(columns))
         has_x, has_y, has_z = (place is not None for place in found)
         x, y, z = (cast(int, place) if place is not None else 0 for place in found)

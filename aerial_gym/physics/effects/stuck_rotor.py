@@ -51,7 +51,7 @@ class StuckRotor(CommandEffect):
         kept = chosen_rotor(vehicle, params[:, 0]) * params[:, 2:3] > 0.0
         return torch.where(kept, params[:, 3:], command)
 
-    def measured(self, voltage: Tensor) -> Tensor:
+    def replay_memory(self, voltage: Tensor) -> Tensor:
         """Return no failure, (T, 2)."""
         return torch.zeros_like(voltage).unsqueeze(-1).expand(-1, 2)
 

@@ -5,7 +5,7 @@ Letters: R rotors, U entries of an action.
 
 import warp as wp
 
-from aerial_gym.math.warp_functions import root, vector_of
+from aerial_gym.math.warp_functions import root, vector_type
 from aerial_gym.physics.fused.allocation import make_prioritised_thrust
 from aerial_gym.physics.fused.law import FusedLaw, NoGains
 from aerial_gym.physics.fused.types import rotor_types
@@ -14,7 +14,7 @@ from aerial_gym.physics.fused.types import rotor_types
 def make_command(law: FusedLaw, num_rotors: int, general: bool, *, differentiable: bool = False) -> wp.Function:
     """Return a function from the motion of the body origin and an action to commanded rotor speeds [rad/s]."""
     types = rotor_types(num_rotors, general)
-    command_type, vector, action_type = types.command, types.vector, vector_of(law.num_prepared)
+    command_type, vector, action_type = types.command, types.vector, vector_type(law.num_prepared)
     gains_type, law_wrench = law.gains_type or NoGains, law.wrench
     limited = make_limited(num_rotors, general)
     speed_of, prioritised = make_speed_of(num_rotors, general), law.saturation == "prioritised"

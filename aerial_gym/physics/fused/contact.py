@@ -9,7 +9,7 @@ from typing import Any
 import warp as wp
 
 from aerial_gym.config.contact import ContactCfg
-from aerial_gym.math.warp_functions import rotate, rotate_inverse, small_turn, solve_motion, vector_of
+from aerial_gym.math.warp_functions import rotate, rotate_inverse, small_turn, solve_motion, vector_type
 from aerial_gym.physics.contact import CAUTIOUS_ITERATIONS, ITERATIONS, PENALTY
 from aerial_gym.physics.fused.types import rotor_types
 
@@ -103,7 +103,7 @@ def make_velocity_change(count: int) -> wp.Function:
     It takes mass and inertia [kg, kg m², body], attitude, velocity and angular velocity [world] after a step without contact,
     and of each contact gap [m; >= 0: none], lever [m], normal and surface velocity [m/s], world.
     """
-    vector, rows = vector_of(count), rows_of(count)
+    vector, rows = vector_type(count), rows_of(count)
 
     @wp.func
     def velocity_change(
@@ -198,7 +198,11 @@ def make_push_off_ground(num_rotors: int, num_spheres: int, general: bool) -> wp
     It takes spheres from the body origin, and motion of the centre of mass before and after a step without contact; it
     returns the motion, the impulse [N s, world] and whether this was a crash. What touches nothing comes back bit for bit.
     """
-    vehicle_type, vector, rows = rotor_types(num_rotors, general).vehicle, vector_of(num_spheres), rows_of(num_spheres)
+    vehicle_type, vector, rows = (
+        rotor_types(num_rotors, general).vehicle,
+        vector_type(num_spheres),
+        rows_of(num_spheres),
+    )
     velocity_change = make_velocity_change(num_spheres)
 
     @wp.func

@@ -11,7 +11,7 @@ from aerial_gym.math.warp_functions import attitude_rate, rotate, rotate_inverse
 from aerial_gym.physics.effects import DelayEffect, FluidEffect, LoadEffect, WrenchEffect
 from aerial_gym.physics.fused.kirchhoff import make_coast, make_inverse_mass
 from aerial_gym.physics.fused.loads import make_loads
-from aerial_gym.physics.fused.packing import picks_of, values_type
+from aerial_gym.physics.fused.packing import value_access, values_type
 from aerial_gym.physics.fused.rotors import make_follow, make_stage_rates
 from aerial_gym.physics.fused.types import Suspension, rotor_types
 from aerial_gym.physics.model import Model
@@ -28,7 +28,7 @@ def make_accelerations(model: Model, *, upright: bool) -> wp.Function:
     vehicle_type, vector = types.vehicle, types.vector
     loads, hang = make_loads(model, upright=upright), _make_hang(model)
     any_wrench, any_load, any_fluid = bool(effects[WrenchEffect]), bool(effects[LoadEffect]), bool(effects[FluidEffect])
-    fluid, pick = picks_of(model, FluidEffect)[0] if any_fluid else (None, None)
+    fluid, pick = value_access(model, FluidEffect)[0] if any_fluid else (None, None)
     entrain = None if fluid is None else fluid.warp_entrain(types.condition)
     entrain_params = None if pick is None else pick.get
 
@@ -88,7 +88,7 @@ def _make_hang(model: Model) -> wp.Function | None:
     """Return ``rigid_body.with_load`` for one environment; the last result is the rate of change of the load."""
     if not model.effects[LoadEffect]:
         return None
-    ((effect, access),) = picks_of(model, LoadEffect)
+    ((effect, access),) = value_access(model, LoadEffect)
     pull, pick = effect.warp_pull(Suspension), access.get
     types, params_type = rotor_types(model.vehicle.num_rotors, not model.vehicle.plain), values_type(model)
     vehicle_type, any_fluid = types.vehicle, bool(model.effects[FluidEffect])

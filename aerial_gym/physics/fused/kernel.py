@@ -8,7 +8,7 @@ from typing import Any
 
 import warp as wp
 
-from aerial_gym.math.warp_functions import load_quat, load_vec4, rotate, store_quat, store_vec4, vector_of
+from aerial_gym.math.warp_functions import load_quat, load_vec4, rotate, store_quat, store_vec4, vector_type
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.fused.command import make_command
 from aerial_gym.physics.fused.contact import ContactParameters, make_push_off_ground
@@ -62,8 +62,8 @@ def make_kernel(
     num_rotors, (num_params, num_memory) = model.vehicle.num_rotors, num_values(model)
     general, types = not model.vehicle.plain, types_of(model)
     stop = make_dead_band(num_rotors) if general else None
-    vector, action_type, params_type = types.vector, vector_of(law.num_actions), values_type(model)
-    prepare, prepared_type = preparation(law.prepare, law.num_actions), vector_of(law.num_prepared)
+    vector, action_type, params_type = types.vector, vector_type(law.num_actions), values_type(model)
+    prepare, prepared_type = preparation(law.prepare, law.num_actions), vector_type(law.num_prepared)
     remembers, num_loads = bool(model.effects.remembering), 6 * len(model.effects[LoadEffect])
     any_load = num_loads > 0
     begin = make_begin(model) if remembers else None

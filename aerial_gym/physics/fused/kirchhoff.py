@@ -7,7 +7,7 @@ import warp as wp
 from aerial_gym.math.warp_functions import rotate, rotate_inverse, unit_quat
 from aerial_gym.physics.effects import FluidEffect
 from aerial_gym.physics.fused.loads import make_wind
-from aerial_gym.physics.fused.packing import picks_of, types_of, values_type
+from aerial_gym.physics.fused.packing import types_of, value_access, values_type
 from aerial_gym.physics.kirchhoff import ITERATIONS
 from aerial_gym.physics.model import Model
 
@@ -53,7 +53,7 @@ def _mean_ang_vel(inverse_mass: wp.vec3, inertia: wp.mat33, lin_vel: wp.vec3, an
 
 def make_inverse_mass(model: Model) -> wp.Function:
     """Return a function to one over the mass of hull and fluid along each body axis [1/kg]."""
-    ((effect, pick),) = picks_of(model, FluidEffect)
+    ((effect, pick),) = value_access(model, FluidEffect)
     added_mass, get = effect.warp_added_mass(), pick.get
     vehicle_type: Any = types_of(model).vehicle
     params_type: Any = values_type(model)
@@ -72,7 +72,7 @@ def make_coast(model: Model) -> tuple[wp.Function, wp.Function]:
 
     The second gives them at an instant: linear [m/s²], world, and angular [rad/s²], body.
     """
-    ((effect, pick),) = picks_of(model, FluidEffect)
+    ((effect, pick),) = value_access(model, FluidEffect)
     wind, added_mass, get, inverse_mass = make_wind(model), effect.warp_added_mass(), pick.get, make_inverse_mass(model)
     vehicle_type: Any = types_of(model).vehicle
     params_type: Any = values_type(model)

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.math.warp_functions import vector_of
+from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.law_memory import LawNeeds
 from aerial_gym.physics.vehicle import Vehicle
 
@@ -106,7 +106,7 @@ class FusedLaw:
 
 def preparation(prepare: wp.Function | None, num_actions: int) -> wp.Function:
     """Return ``FusedLaw.prepare``, or if there is none what leaves an action as it is."""
-    action_type = vector_of(num_actions)
+    action_type = vector_type(num_actions)
 
     @wp.func
     def as_it_is(action: action_type, gains: Any) -> action_type:

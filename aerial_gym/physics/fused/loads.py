@@ -11,10 +11,10 @@ from torch import Tensor
 
 from aerial_gym.math.warp_functions import rotate_inverse, world_up
 from aerial_gym.physics.effects import Effect, FluidEffect, RotorEffect, WindEffect, WrenchEffect
-from aerial_gym.physics.fused.packing import picks_of, values_type
+from aerial_gym.physics.fused.packing import value_access, values_type
 from aerial_gym.physics.fused.types import Hub, rotor_types
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.rotors import make_maps
+from aerial_gym.physics.rotor_maps import make_maps
 
 NO_CEILING = 1e30
 """Height in its place [m]: far above all others, and finite in float32."""
@@ -102,7 +102,7 @@ Acts = Callable[[Effect], bool] | None
 
 def _chosen(model: Model, kind: type[Effect], acts: Acts) -> list[tuple[Any, wp.Function]]:
     """Return the effects of a kind that act, each with the function to its numbers among those of all effects."""
-    return [(effect, pick.get) for effect, pick in picks_of(model, kind) if acts is None or acts(effect)]
+    return [(effect, pick.get) for effect, pick in value_access(model, kind) if acts is None or acts(effect)]
 
 
 def make_wind(model: Model, acts: Acts = None) -> wp.Function:

@@ -10,7 +10,7 @@ import warp as wp
 from aerial_gym.math.draws import RandomArrays, stream_of, substream
 from aerial_gym.math.random import Purpose
 from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect
-from aerial_gym.physics.fused.packing import picks_of, types_of, values_type
+from aerial_gym.physics.fused.packing import types_of, value_access, values_type
 from aerial_gym.physics.fused.types import RotorTypes
 from aerial_gym.physics.model import Model
 
@@ -117,7 +117,7 @@ def _make_remember(model: Model) -> wp.Function:
         return remember
 
     total = nothing
-    for effect, pick in picks_of(model, Effect):
+    for effect, pick in value_access(model, Effect):
         twin = effect.warp_remember(vehicle_type, moment)
         if twin is not None:
             total = after(total, twin, pick.get, pick.put)
@@ -141,7 +141,7 @@ def _make_lead(model: Model) -> wp.Function:
         return lead
 
     total = straight
-    for effect, pick in picks_of(model, CommandEffect):
+    for effect, pick in value_access(model, CommandEffect):
         total = after(total, effect.warp_command(vehicle_type, vector), pick.get)
     return total
 
@@ -149,7 +149,7 @@ def _make_lead(model: Model) -> wp.Function:
 def _make_delayed(model: Model, lead: wp.Function) -> wp.Function:
     """Return a function to the commands that arrive during the substep."""
     types, values, num_rotors = types_of(model), values_type(model), model.vehicle.num_rotors
-    ((effect, access),) = picks_of(model, DelayEffect)
+    ((effect, access),) = value_access(model, DelayEffect)
     delay_of, pick, arrive = effect.warp_delay(), access.get, _make_arrive(types, num_rotors, lead, values)
     moment, vehicle_type, succession = types.moment, types.vehicle, types.succession
 

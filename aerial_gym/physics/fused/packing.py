@@ -16,7 +16,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.math.warp_functions import vector_of
+from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.effects import Effect
 from aerial_gym.physics.fused.law import FusedLaw, NoGains
 from aerial_gym.physics.fused.types import RotorTypes, rotor_types
@@ -319,10 +319,10 @@ def num_values(model: Model) -> tuple[int, int]:
 
 def values_type(model: Model) -> Any:
     """Return the type of the vector."""
-    return vector_of(max(sum(num_values(model)), 1))
+    return vector_type(max(sum(num_values(model)), 1))
 
 
-def picks_of(model: Model, kind: type[AnyKind]) -> list[tuple[AnyKind, Pick]]:
+def value_access(model: Model, kind: type[AnyKind]) -> list[tuple[AnyKind, Pick]]:
     """Return the effects of a kind, each with access to its values; without memory that ``moves_with_body``."""
     values, (num_params, _) = values_type(model), num_values(model)
     found = []
@@ -336,7 +336,7 @@ def picks_of(model: Model, kind: type[AnyKind]) -> list[tuple[AnyKind, Pick]]:
 
 
 def _pick(values: Any, first: int, width: int, first_memory: int, memory: int) -> Pick:
-    own = vector_of(width + memory)
+    own = vector_type(width + memory)
 
     @wp.func
     def get(all_values: values) -> own:

@@ -32,13 +32,13 @@ def make_limited_lag(real: Any) -> wp.Function:
     """Return ``rotor_lag.limited_lag`` of one rotor in a precision, with the arguments of it."""
 
     @wp.func
-    def remaining(distance: real, tau: real, slew: real, span: real) -> real:
-        """Return what is left of a distance >= 0 after a span [s]: at the slew rate first, then exponentially."""
+    def distance_left(distance: real, tau: real, slew: real, span: real) -> real:
+        """Return the rest of a distance >= 0 after a span [s]: at the slew rate first, then exponentially."""
         linear = wp.min(slew * span, wp.max(distance - slew * tau, real(0.0)))
         return (distance - linear) * wp.exp(-wp.max(span - linear / slew, real(0.0)) / tau)
 
     @wp.func
-    def time_between(distance: real, less: real, tau: real, slew: real) -> real:
+    def fall_time(distance: real, less: real, tau: real, slew: real) -> real:
         """Return the time [s] in which a distance shrinks to a smaller one, > 0."""
         linear = wp.min(wp.max(distance - slew * tau, real(0.0)), distance - less)
         return linear / slew + tau * wp.log((distance - linear) / less)
@@ -51,15 +51,15 @@ def make_limited_lag(real: Any) -> wp.Function:
         distance = wp.abs(command - state)
         falling = wp.where(state * way < real(0.0), span, real(0.0))
         if falling > real(0.0) and command * way > real(0.0):
-            falling = wp.min(time_between(distance, wp.abs(command), tau_down, slew_down), span)
-        left = remaining(distance, tau_down, slew_down, falling)
-        return command - way * remaining(left, tau_up, slew_up, span - falling)
+            falling = wp.min(fall_time(distance, wp.abs(command), tau_down, slew_down), span)
+        left = distance_left(distance, tau_down, slew_down, falling)
+        return command - way * distance_left(left, tau_up, slew_up, span - falling)
 
     return limited_lag
 
 
 @wp.func
-def limited_rate(
+def slew_limited_rate(
     speed: float, command: float, tau_up: float, tau_down: float, slew_up: float, slew_down: float
 ) -> float:
     """Return ``rotor_lag.rate_towards`` of one rotor; without lag the rate is the slew rate."""
@@ -134,7 +134,7 @@ def make_stage_rates(num_rotors: int, general: bool, late: bool = False) -> wp.F
 
     @wp.func
     def limited(plant: vehicle_type, i: int, n: float, command: float, jump: float, dt: float) -> float:
-        return limited_rate(n, command, plant.tau_up[i], plant.tau_down[i], plant.slew_up[i], plant.slew_down[i])
+        return slew_limited_rate(n, command, plant.tau_up[i], plant.tau_down[i], plant.slew_up[i], plant.slew_down[i])
 
     one = limited if general else plain
 

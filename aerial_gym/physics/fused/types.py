@@ -9,7 +9,7 @@ from typing import Any
 
 import warp as wp
 
-from aerial_gym.math.warp_functions import vector_of
+from aerial_gym.math.warp_functions import vector_type
 
 
 @dataclass(frozen=True)
@@ -57,10 +57,10 @@ def rotor_types(num_rotors: int, general: bool = False) -> RotorTypes:
 
 @cache
 def _rotor_types(num_rotors: int, general: bool) -> RotorTypes:
-    vector = vector_of(num_rotors)
+    vector = vector_type(num_rotors)
     rows = wp.types.matrix(shape=(num_rotors, 3), dtype=wp.float32)
     matrix = wp.types.matrix(shape=(num_rotors, 6), dtype=wp.float32)
-    six = vector_of(6)
+    six = vector_type(6)
 
     vehicle = {
         "mass_inverse": float,  # [1/kg]

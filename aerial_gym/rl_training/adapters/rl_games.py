@@ -62,7 +62,7 @@ class TaskVecEnv(IVecEnv):
         return {"observation_space": space["observations"], "action_space": self._task.action_space, "agents": 1}
 
 
-class KeptAgent(A2CAgent):
+class KeeperAgent(A2CAgent):
     """PPO that saves and restores through a ``Keeper``; the names of files that the library chooses are not used."""
 
     keeper: Keeper
@@ -122,9 +122,9 @@ class _Observer(AlgoObserver):
 
     def __init__(self, cfg: TrainingCfg, progress: Progress, keeper: Keeper, interruption: Interruption) -> None:
         self._cfg, self._progress, self._keeper, self._interruption = cfg, progress, keeper, interruption
-        self.algo: KeptAgent | None = None
+        self.algo: KeeperAgent | None = None
 
-    def after_init(self, algo: KeptAgent) -> None:
+    def after_init(self, algo: KeeperAgent) -> None:
         self.algo, algo.keeper = algo, self._keeper
         algo.after_epoch = lambda: self.after_print_stats(algo.frame, algo.epoch_num, 0.0)
         self._summaries = None if algo.writer is None else guard(algo.writer)
@@ -152,7 +152,7 @@ class _Observer(AlgoObserver):
 
     def _follow_schedules(self, algo: A2CAgent) -> None:
         ppo, share = self._cfg.section(PpoCfg), self._progress.share
-        limit = ppo.max_learning_rate_at(share)
+        limit = ppo.learning_rate_limit(share)
         algo.scheduler.max_lr, algo.last_lr = limit, min(algo.last_lr, limit)
         algo.model.a2c_network.sigma.data.clamp_(min=math.log(ppo.min_std))
 
@@ -188,7 +188,7 @@ def run(
     """
     observer = _Observer(cfg, progress, keeper, interruption)
     runner = Runner(observer)
-    runner.algo_factory.register_builder("a2c_continuous", lambda **kwargs: KeptAgent(**kwargs))
+    runner.algo_factory.register_builder("a2c_continuous", lambda **kwargs: KeeperAgent(**kwargs))
     params: dict[str, Any] = library_params(cfg, TaskVecEnv(task), folder.path, device=str(task.device))
     params["config"]["multi_gpu"] = ranks.size > 1
     if task.curriculum is not None and ranks.joined:

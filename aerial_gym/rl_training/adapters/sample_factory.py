@@ -87,7 +87,7 @@ class TaskBatchedEnv(gymnasium.Env):
         """Nothing to show."""
 
 
-class _KeptLearner(Learner):
+class _KeeperLearner(Learner):
     """A learner that saves and restores through a ``Keeper``; the library takes the newest file by its name."""
 
     keeper: Keeper
@@ -123,7 +123,9 @@ class _Runner(SerialRunner):
 
     def _make_learner(self, event_loop: EventLoop, policy_id: int, batcher: Batcher) -> LearnerWorker:
         worker = super()._make_learner(event_loop, policy_id, batcher)
-        learner = _KeptLearner(self.cfg, self.env_info, self.buffer_mgr.policy_versions, policy_id, worker.param_server)
+        learner = _KeeperLearner(
+            self.cfg, self.env_info, self.buffer_mgr.policy_versions, policy_id, worker.param_server
+        )
         learner.keeper, worker.learner = self._keeper, learner
         return worker
 
@@ -168,7 +170,7 @@ class _Observer(AlgoObserver):
 
     def _follow_schedules(self, learner: Learner) -> None:
         ppo, share = self._cfg.section(PpoCfg), self._progress.share
-        limit = ppo.max_learning_rate_at(share)
+        limit = ppo.learning_rate_limit(share)
         learner.lr_scheduler.max_lr, learner.curr_lr = limit, min(learner.curr_lr, limit)
         learner.actor_critic.action_parameterization.learned_stddev.data.clamp_(min=math.log(ppo.min_std))
 
@@ -194,7 +196,7 @@ def run(
     if task.device.type == "cuda" and (task.device.index or 0) != 0:
         raise ConfigError(f"device {task.device}: Sample Factory uses cuda:0. Choose the GPU with CUDA_VISIBLE_DEVICES")
     name = f"{cfg.task}_{uuid.uuid4().hex[:8]}"
-    with _own_log(), _registered(name, cfg, task, interruption):
+    with _own_log(), _registration(name, cfg, task, interruption):
         runner = _Runner(library_config(cfg, folder.path, env_name=name, device=task.device), keeper)
         try:
             status = _train(runner, _Observer(cfg, progress, keeper, interruption))
@@ -291,7 +293,7 @@ def library_config(cfg: TrainingCfg, out: Path, *, env_name: str, device: torch.
 
 
 @contextlib.contextmanager
-def _registered(name: str, cfg: TrainingCfg, task: Task, interruption: Interruption) -> Iterator[None]:
+def _registration(name: str, cfg: TrainingCfg, task: Task, interruption: Interruption) -> Iterator[None]:
     """Make the task and the first weights of the network known to the library, for as long as they are needed."""
 
     def make_network(library_cfg: Config, obs_space: spaces.Space, action_space: spaces.Space) -> ActorCritic:

@@ -106,19 +106,19 @@ def fail(out: Path, ports: list[str]) -> None:
 
 def learn_with_rl_games(out: Path, ports: list[str]) -> None:
     """Train and go on; each process leaves the weights that it has whenever all of them save."""
-    from aerial_gym.rl_training.adapters.rl_games import KeptAgent
+    from aerial_gym.rl_training.adapters.rl_games import KeeperAgent
 
     cfg = load_settings(settings_for("rl_games", "position_setpoint_task"))
     cfg = replace(cfg, num_envs=32, device="cpu", max_time_s=None, max_env_steps=1, torch_threads=1)
-    keep, saves = KeptAgent.keep, []
+    keep, saves = KeeperAgent.keep, []
 
-    def and_leave_weights(self: KeptAgent) -> None:
+    def and_leave_weights(self: KeeperAgent) -> None:
         keep(self)
         saves.append(self)
         model = {name: value.clone() for name, value in self.model.state_dict().items()}
         torch.save(model, out / f"save_{len(saves)}_{os.environ['RANK']}.pt")
 
-    KeptAgent.keep = and_leave_weights
+    KeeperAgent.keep = and_leave_weights
     for iterations in (3, 5):
         os.environ["MASTER_PORT"] = ports.pop()
         steps = iterations * cfg.ppo.horizon * 2 * cfg.num_envs

@@ -82,7 +82,7 @@ class RandomSearch(Trainer):
 
 
 @pytest.fixture(autouse=True)
-def _registered(monkeypatch: pytest.MonkeyPatch) -> None:
+def register_search(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(TRAINERS._entries, RandomSearch.name, RandomSearch())
 
 

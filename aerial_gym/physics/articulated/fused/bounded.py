@@ -8,7 +8,7 @@ from typing import Any
 
 import warp as wp
 
-from aerial_gym.math.warp_functions import vector_of
+from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.articulated.articulation import Articulation
 from aerial_gym.physics.articulated.bounded_efforts import TOLERANCE
 from aerial_gym.physics.articulated.joint_laws import STICK_RATE
@@ -37,7 +37,7 @@ class BoundedLaws:
 def make_bounded(articulation: Articulation) -> BoundedLaws:
     """Return the functions of a vehicle."""
     num_joints = articulation.num_joints
-    joints = vector_of(num_joints)
+    joints = vector_type(num_joints)
     stiffness, damping, limit = [0.0] * num_joints, [0.0] * num_joints, [0.0] * num_joints
     for k, gains in zip(articulation.driven, articulation.drive_gains.tolist(), strict=True):
         stiffness[k], damping[k], limit[k] = gains
@@ -159,7 +159,7 @@ def _make_line_search(num_joints: int, joints: Any, driven: wp.Function, rubbing
 
 def _make_ask(articulation: Articulation, joints: Any) -> wp.Function:
     """Return ``BoundedLaws.ask``, drive by drive."""
-    command_type = vector_of(max(articulation.num_driven, 1))
+    command_type = vector_type(max(articulation.num_driven, 1))
 
     @wp.func
     def nothing(pos: joints, command: command_type) -> joints:

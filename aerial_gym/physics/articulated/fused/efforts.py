@@ -5,7 +5,7 @@ from typing import Any
 
 import warp as wp
 
-from aerial_gym.math.warp_functions import vector_of
+from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.articulated.articulation import Articulation
 
 
@@ -21,7 +21,7 @@ def held_of(num_joints: int, params_type: Any, rotor_vector: Any) -> Any:
     Args:
         params_type: Of the parameters; None where the air does nothing to a link.
     """
-    vector = vector_of(num_joints)
+    vector = vector_type(num_joints)
     fields = {"bounded_value": vector, "bounded_slope": vector, "crept": vector}
     if params_type is not None:
         fields |= {"params": params_type, "wind": wp.vec3, "weight": wp.vec3, "position": wp.vec3, "attitude": wp.quat}
@@ -32,8 +32,12 @@ def held_of(num_joints: int, params_type: Any, rotor_vector: Any) -> Any:
 def make_creep(articulation: Articulation) -> tuple[wp.Function, wp.Function]:
     """Return functions of dashpots, vector of N D: (dashpots) -> ``Held.crept``, and (dashpots, joints, dt) -> dashpots at the
     end of a step."""
-    joints, num_creep, num_joints = vector_of(articulation.num_joints), articulation.num_creep, articulation.num_joints
-    dashpots = vector_of(max(num_creep * num_joints, 1))
+    joints, num_creep, num_joints = (
+        vector_type(articulation.num_joints),
+        articulation.num_creep,
+        articulation.num_joints,
+    )
+    dashpots = vector_type(max(num_creep * num_joints, 1))
     matrix = wp.types.matrix(shape=(max(num_creep, 1), num_joints), dtype=wp.float32)
     stiffness = matrix(*(articulation.creep_stiffness.flatten().tolist() or [0.0] * num_joints))
     time = matrix(*(articulation.creep_time.flatten().tolist() or [1.0] * num_joints))

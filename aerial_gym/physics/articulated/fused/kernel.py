@@ -10,7 +10,7 @@ from typing import Any
 
 import warp as wp
 
-from aerial_gym.math.warp_functions import rotate, rotate_inverse, small_turn, solve_motion, unit_quat, vector_of
+from aerial_gym.math.warp_functions import rotate, rotate_inverse, small_turn, solve_motion, unit_quat, vector_type
 from aerial_gym.physics.articulated.articulation import Articulation
 from aerial_gym.physics.articulated.bounded_efforts import ROUNDS
 from aerial_gym.physics.articulated.fused.bounded import make_bounded
@@ -35,7 +35,11 @@ from aerial_gym.physics.model import Model
 @cache
 def _make_split(num_actions: int, num_driven: int) -> tuple[wp.Function, wp.Function]:
     """Return functions to the part of an action that the control law takes, and to the commands of the drives."""
-    whole, law, drives = vector_of(num_actions + num_driven), vector_of(num_actions), vector_of(max(num_driven, 1))
+    whole, law, drives = (
+        vector_type(num_actions + num_driven),
+        vector_type(num_actions),
+        vector_type(max(num_driven, 1)),
+    )
 
     @wp.func
     def of_law(action: whole) -> law:
@@ -97,8 +101,8 @@ def make_jointed_kernel(
     general, types = not model.vehicle.plain, types_of(model)
     joints = joint_types(articulation.num_joints, values_type(model) if in_air else None, types.vector)
     vector, params_type, joint_vector = types.vector, values_type(model), joints.vector
-    action_type = vector_of(law.num_actions + articulation.num_driven)
-    drive_type = vector_of(max(articulation.num_driven, 1))
+    action_type = vector_type(law.num_actions + articulation.num_driven)
+    drive_type = vector_type(max(articulation.num_driven, 1))
     prepare = preparation(law.prepare, law.num_actions)
     law_part, drive_part = _make_split(law.num_actions, articulation.num_driven)
     remembers, law_remembers = bool(model.effects.remembering), law.remembering is not None
@@ -121,7 +125,7 @@ def make_jointed_kernel(
     line_search, driven, rubbing, pushes = bounded.line_search, bounded.driven, bounded.rubbing, bounded.pushes
     (pull, creep_on), num_creep = make_creep(articulation), articulation.num_creep
     num_joints, held_type = articulation.num_joints, joints.held
-    dashpot_type = vector_of(max(num_creep * num_joints, 1))
+    dashpot_type = vector_type(max(num_creep * num_joints, 1))
     read_vehicle = make_vehicle_reader(types, packing.vehicle, packing.entries)
     read_command = make_command_reader(types, packing.command, packing.command_entries)
     read_gains = make_gains_reader(law, packing.gains)

@@ -12,7 +12,7 @@ from aerial_gym.math.warp_functions import world_up
 from aerial_gym.physics.articulated.fused.inertia import Inertia, beside
 from aerial_gym.physics.articulated.fused.recursion import JointTypes
 from aerial_gym.physics.effects import LinkEffect, LinkFluidEffect, LinkWrenchEffect
-from aerial_gym.physics.fused.packing import picks_of
+from aerial_gym.physics.fused.packing import value_access
 from aerial_gym.physics.model import Model
 
 
@@ -23,7 +23,7 @@ def touched_links(model: Model) -> tuple[int, ...]:
     able = [articulation.tree.floating, *(articulation.link_mass > 0.0).tolist()]
     twins = [effect.warp_damping for effect, _ in model.effects[LinkEffect]]
     twins += [effect.warp_wrench for effect, _ in model.effects[LinkWrenchEffect]]
-    twins += [effect.warp_added for effect, _ in model.effects[LinkFluidEffect]]
+    twins += [effect.warp_added_mass for effect, _ in model.effects[LinkFluidEffect]]
     return tuple(link for link, moves in enumerate(able) if moves and any(twin(link) is not None for twin in twins))
 
 
@@ -60,7 +60,7 @@ def make_damping(model: Model, joints: JointTypes, link: int) -> wp.Function | N
     ``a`` is the spatial acceleration of the centre of mass that the recursion finds, weight in it: what is not of ``a`` is a
     force.
     """
-    twins = [(effect.warp_damping(link), pick.get) for effect, pick in picks_of(model, LinkEffect)]
+    twins = [(effect.warp_damping(link), pick.get) for effect, pick in value_access(model, LinkEffect)]
     twin, get = twins[0] if twins else (None, None)
     if twin is None:
         return None
@@ -92,7 +92,7 @@ def make_fluid(model: Model, joints: JointTypes, link: int) -> wp.Function | Non
     Beside the mass stand ``R A R^T`` and ``R B R^T``. With the spatial acceleration ``a`` of the centre of mass that the
     recursion finds, weight in it, the fluid takes ``A (a - weight + w x wind) + w x (A u)``: what is not of ``a`` is a force.
     """
-    twins = [(effect.warp_added(link), pick.get) for effect, pick in picks_of(model, LinkFluidEffect)]
+    twins = [(effect.warp_added_mass(link), pick.get) for effect, pick in value_access(model, LinkFluidEffect)]
     twin, get = twins[0] if twins else (None, None)
     if twin is None:
         return None
@@ -121,7 +121,7 @@ def make_fluid(model: Model, joints: JointTypes, link: int) -> wp.Function | Non
 
 def make_wrenches(model: Model, joints: JointTypes, link: int) -> list[wp.Function]:
     """Return what each such effect does to a link, as ``on_links.make_on_links`` has it."""
-    twins = [(effect.warp_wrench(link), pick.get) for effect, pick in picks_of(model, LinkWrenchEffect)]
+    twins = [(effect.warp_wrench(link), pick.get) for effect, pick in value_access(model, LinkWrenchEffect)]
     return [_make_wrench(joints, twin, get) for twin, get in twins if twin is not None]
 
 

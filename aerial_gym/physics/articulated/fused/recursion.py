@@ -20,7 +20,7 @@ from typing import Any
 
 import warp as wp
 
-from aerial_gym.math.warp_functions import vector_of
+from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.articulated.articulation import Articulation
 from aerial_gym.physics.articulated.fused.efforts import held_of, make_effort
 from aerial_gym.physics.articulated.fused.inertia import Inertia, accelerated, carry, inertia_of, plus
@@ -38,7 +38,7 @@ class JointTypes:
 
 def joint_types(num_joints: int, params_type: Any, rotor_vector: Any) -> JointTypes:
     """Return the types for a number of joints, with those of ``efforts.held_of``."""
-    vector, rows = vector_of(num_joints), wp.types.matrix(shape=(num_joints, 3), dtype=wp.float32)
+    vector, rows = vector_type(num_joints), wp.types.matrix(shape=(num_joints, 3), dtype=wp.float32)
     fields = {
         "free": vector,  # acceleration of the joint where its parent has none
         "by_turn": rows,  # less of it per angular acceleration of the parent

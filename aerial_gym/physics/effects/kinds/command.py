@@ -44,7 +44,7 @@ class CommandEffect(Effect):
         """Return the speeds [rad/s], (E, R), that the rotors approach under commanded speeds (E, R)."""
 
     @abstractmethod
-    def measured(self, voltage: Tensor) -> Tensor:
+    def replay_memory(self, voltage: Tensor) -> Tensor:
         """Return its memory along a flight, (T, M), from the logged battery voltage [V], (T,)."""
 
     def warp_command(self, vehicle: type, vector: type) -> wp.Function | None:

@@ -80,12 +80,12 @@ class LinkFluidEffect(Effect):
     """Fluid that moves with each link: an added mass along each axis, without weight."""
 
     acts_on = "inertia"
-    twin, order, single = "warp_added", 5, "fluid of links"
+    twin, order, single = "warp_added_mass", 5, "fluid of links"
     rotors = ANY_ROTOR
     on_rigid = False
 
     @abstractmethod
-    def added(self, num_links: int, params: Tensor) -> Tensor:
+    def added_mass(self, num_links: int, params: Tensor) -> Tensor:
         """Return added masses [kg] and inertias [kg m²] of every link at its centre of mass, link axes, (E, L, 6).
 
         Args:
@@ -93,7 +93,7 @@ class LinkFluidEffect(Effect):
             params: (E, P).
         """
 
-    def warp_added(self, link: int) -> wp.Function | None:
+    def warp_added_mass(self, link: int) -> wp.Function | None:
         """Return the twin of ``added`` for one link; None if the effect does not act on it.
 
         Args:

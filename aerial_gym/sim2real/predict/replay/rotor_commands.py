@@ -84,7 +84,7 @@ def _led_to(flight: Flight, model: Model, command: Tensor) -> Tensor:
         if lacking := missing_in_logs(effect, [flight]):
             raise DataError(f"effect {effect.name}: {lacking}, or leave the effect out of the robot file")
         voltage = torch.full(command.shape[:1], torch.nan) if flight.battery is None else torch.tensor(flight.battery)
-        memory = effect.measured(voltage)
+        memory = effect.replay_memory(voltage)
         command = effect.command(command, model.vehicle, torch.cat((params.expand(len(memory), -1), memory), dim=-1))
     return command
 
