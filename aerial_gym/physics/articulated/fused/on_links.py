@@ -17,7 +17,7 @@ from aerial_gym.physics.model import Model
 
 
 def touched_links(model: Model) -> tuple[int, ...]:
-    """Return the numbers of the links that effects on links act on; one that stands still, or has no mass, is none."""
+    """Return the numbers of the links on which effects act, without fixed links and links without mass."""
     articulation = model.articulation
     assert articulation is not None
     able = [articulation.tree.floating, *(articulation.link_mass > 0.0).tolist()]
@@ -28,10 +28,11 @@ def touched_links(model: Model) -> tuple[int, ...]:
 
 
 def make_on_links(model: Model, joints: JointTypes) -> dict[int, wp.Function]:
-    """Return what effects do to each link that they act on: (inertia of the link, its axes to those of the base, its centre of
-    mass from its origin, angular velocity and velocity of its origin at the start of the step, the same at the rates at which
-    turning and swinging are taken, angular acceleration and acceleration of its origin by these alone, what is held through the
-    step, dt) -> ``Inertia``. Vectors are in axes of the base.
+    """Return the Warp function of all effects on each link, by number of the link. Vectors are in axes of the base.
+
+    Arguments: inertia of the link; rotation from its axes to those of the base; its centre of mass from its origin; angular
+    velocity and velocity of its origin at the start of the step; both at the rates of the turning terms; angular acceleration
+    and acceleration of its origin by these terms alone; quantities constant over the step; dt. Result: the new ``Inertia``.
     """
     return {link: reduce(_then, _acting_on(model, joints, link)) for link in touched_links(model)}
 
@@ -54,11 +55,11 @@ def _then(first: wp.Function, second: wp.Function) -> wp.Function:
 
 
 def make_damping(model: Model, joints: JointTypes, link: int) -> wp.Function | None:
-    """Return what damps a link, as ``on_links.make_on_links`` has it; None where nothing does.
+    """Return the damping of a link, a function as in ``make_on_links``, or None without one.
 
-    Beside the mass stands ``dt D``. The end of a step has ``-D (u + u' dt)`` with ``u' = R^T (a - weight + w x wind)``, where
-    ``a`` is the spatial acceleration of the centre of mass that the recursion finds, weight in it: what is not of ``a`` is a
-    force.
+    The damping force at the end of a step is ``-D (u + u' dt)`` with ``u' = R^T (a - weight + w x wind)``. Here ``a`` is the
+    spatial acceleration of the centre of mass from the recursion, weight included. The term in ``a`` adds ``dt D`` to the
+    mass; the rest is a force.
     """
     twins = [(effect.warp_damping(link), pick.get) for effect, pick in value_access(model, LinkEffect)]
     twin, get = twins[0] if twins else (None, None)
@@ -87,10 +88,11 @@ def make_damping(model: Model, joints: JointTypes, link: int) -> wp.Function | N
 
 
 def make_fluid(model: Model, joints: JointTypes, link: int) -> wp.Function | None:
-    """Return what the fluid does to a link, as ``on_links.make_on_links`` has it; None where it does nothing.
+    """Return the added mass of a link, a function as in ``make_on_links``, or None without one.
 
-    Beside the mass stand ``R A R^T`` and ``R B R^T``. With the spatial acceleration ``a`` of the centre of mass that the
-    recursion finds, weight in it, the fluid takes ``A (a - weight + w x wind) + w x (A u)``: what is not of ``a`` is a force.
+    ``R A R^T`` adds to the mass and ``R B R^T`` to the inertia. The fluid takes the force
+    ``A (a - weight + w x wind) + w x (A u)``, with the spatial acceleration ``a`` of the centre of mass from the recursion,
+    weight included. The terms without ``a`` are a force.
     """
     twins = [(effect.warp_added_mass(link), pick.get) for effect, pick in value_access(model, LinkFluidEffect)]
     twin, get = twins[0] if twins else (None, None)
@@ -120,7 +122,7 @@ def make_fluid(model: Model, joints: JointTypes, link: int) -> wp.Function | Non
 
 
 def make_wrenches(model: Model, joints: JointTypes, link: int) -> list[wp.Function]:
-    """Return what each such effect does to a link, as ``on_links.make_on_links`` has it."""
+    """Return the wrench of each effect on a link, functions as in ``make_on_links``."""
     twins = [(effect.warp_wrench(link), pick.get) for effect, pick in value_access(model, LinkWrenchEffect)]
     return [_make_wrench(joints, twin, get) for twin, get in twins if twin is not None]
 
