@@ -121,10 +121,6 @@ class Image:
         """Return whether a sensor has it."""
         return self.wanted is None or self.wanted(cfg)
 
-    def nothing_of(self, cfg: "RangeSensorCfg") -> Nothing | None:
-        """Return what a pixel that sees nothing holds in a sensor."""
-        return self.nothing(cfg) if callable(self.nothing) else self.nothing
-
     def unit_of(self, cfg: "RangeSensorCfg") -> str:
         """Return its unit in a sensor."""
         return self.unit if isinstance(self.unit, str) else self.unit(cfg)

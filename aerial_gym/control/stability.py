@@ -209,18 +209,10 @@ class ClosedLoop:
         """Return whether the loop comes to rest at a time step [s] with the margin of ``LOOP_GAINS``."""
         return self.is_stable(dt) and stable(self.margins(dt))
 
-    def largest_stable_dt(self, unstable: float) -> float | None:
-        """Return the largest time step [s] below an unstable one at which all are stable; None if there is none."""
-        return self._largest_dt([(corner, 1.0) for corner in self._corners], unstable)
-
     def largest_firm_dt(self, unfirm: float) -> float | None:
-        """Return the same with the margin of ``LOOP_GAINS``."""
-        return self._largest_dt(
-            [*((corner, 1.0) for corner in self._corners), *((None, gain) for gain in LOOP_GAINS)], unfirm
-        )
-
-    def _largest_dt(self, cases: list[tuple[Corner, float]], unstable: float) -> float | None:
-        best: float | None = unstable
+        """Return the largest time step [s] below one at which the loop is not firm, at which it is; None if there is none."""
+        cases = [*((corner, 1.0) for corner in self._corners), *((None, gain) for gain in LOOP_GAINS)]
+        best: float | None = unfirm
         lowest = max(DT_RANGE[0], self.delay / FINEST_DELAY)
         while best is not None and not stable(radii := [self._radius_with(*case, best) for case in cases]):
             best = largest_stable_dt(partial(self._radius_with, *cases[radii.index(max(radii))]), best, lowest=lowest)

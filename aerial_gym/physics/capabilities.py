@@ -108,8 +108,3 @@ def require(backend: PhysicsBackend, needs: Needs, *, name: str | None = None) -
     ]
     way_out = f"Use backend {', '.join(map(repr, others))}." if others else "No registered backend can: leave it out."
     raise CapabilityError(f"backend {name or type(backend).__name__}: cannot {lacking[0]}. {way_out}")
-
-
-def check_capabilities(backend: PhysicsBackend, robot: RobotCfg, device: torch.device) -> None:
-    """Raise ``CapabilityError`` naming what of a robot on a device a backend cannot run."""
-    require(backend, needs_of(robot, device))

@@ -14,7 +14,7 @@ from aerial_gym.config.robot import RobotCfg, load_robot
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.physics import BodyState, TorchBackend, WarpBackend, accelerations, build_model, vehicle_from_config
-from aerial_gym.physics.capabilities import check_capabilities
+from aerial_gym.physics.capabilities import needs_of, require
 from aerial_gym.physics.effects import LearnedResidual, WrenchEffect
 from aerial_gym.physics.model import Model, robot_effects
 from tests.builders import simulation
@@ -244,4 +244,4 @@ def test_a_backend_that_does_not_know_it_refuses() -> None:
         capabilities = replace(backend.capabilities, effects=())  # type: ignore[assignment]
 
     with pytest.raises(CapabilityError, match="cannot run effect 'learned_residual'"):
-        check_capabilities(Older(), robot, torch.device("cpu"))
+        require(Older(), needs_of(robot, torch.device("cpu")))
