@@ -131,9 +131,9 @@ def _make_nearest_pair(*, cores: bool) -> wp.Function:
 
 
 @cache
-def _make_push_at_end(*, cores: bool) -> wp.Function:
+def _make_push_on(*, cores: bool) -> wp.Function:
     @wp.func
-    def push_at_end(shape: Shape, own: BodyShape, core: Core) -> wp.vec3:
+    def push_on(shape: Shape, own: BodyShape, core: Core) -> wp.vec3:
         """Return the direction in which contact pushes a shape, in the frame of the part; 0 if they are clearly apart."""
         if wp.static(cores):  # noqa: SIM102 (only what stands alone is static)
             if own.reach > own.radius:
@@ -144,14 +144,14 @@ def _make_push_at_end(*, cores: bool) -> wp.Function:
             return outward_normal(shape, core.center)
         return wp.vec3()
 
-    return push_at_end
+    return push_on
 
 
 @cache
 def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
     """Return the search along one path; whether obstacles move, the robot has boxes or capsules, and any part is a mesh."""
     touch_time = make_touch_time(cores=cores)
-    nearest_pair, push_at_end = _make_nearest_pair(cores=cores), _make_push_at_end(cores=cores)
+    nearest_pair, push_on = _make_nearest_pair(cores=cores), _make_push_on(cores=cores)
     obstacles_type: Any = Obstacles if moves else int
 
     @wp.func
@@ -165,19 +165,28 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
         spin: wp.vec3,
         lin_vel: wp.vec3,
         least_approach: float,
+        before: wp.vec4,
         push: wp.vec4,
         found: Crossing,
     ):
         """Return the earlier crossing: the one found so far, or that of a part or face; and whether it touches like a crash.
 
-        ``push`` is what contact does to the shape at the end, and 1 once that is known; it comes back as well.
+        ``before`` and ``push`` are what contact does to the shape at the start and at the end, and 1 once that is known; they
+        come back as well. A shape that is in a mesh at the start is on the side to which contact pushes it, not a face.
         """
         t = touch_time(solid, other, own, path, 0.0, wp.min(found.time, 1.0))
         if t == wp.inf:
-            return found, wp.bool(False), push
+            return found, wp.bool(False), before, push
         core = _core_at(shape, other, own, path, t)
         pair = nearest_pair(solid, own, core)
         local = pair.normal
+        overlaps = solid.kind == TRIANGLE and pair.distance < own.radius
+        if overlaps:
+            if before[3] == 0.0:
+                direction = push_on(shape, own, core)
+                before = wp.vec4(direction[0], direction[1], direction[2], 1.0)
+            if wp.length(wp.vec3(before[0], before[1], before[2])) > 0.0:
+                local = wp.vec3(before[0], before[1], before[2])
         turn = attitude_at(other, t) * shape.attitude
         normal = wp.quat_rotate(turn, local)
         from_carrier = wp.quat_rotate(turn, pair.point) + wp.quat_rotate(attitude_at(other, t), shape.position)
@@ -189,17 +198,20 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
         )
         crashes = approach >= least_approach
         reach = own.radius + _depth_along(core, local)
-        floor = wp.min(wp.dot(local, core.center) - reach - support(solid, local), 0.0)
+        surface = support(solid, local)
+        if overlaps:
+            surface = wp.dot(local, core.center) - reach - (pair.distance - own.radius)
+        floor = wp.min(wp.dot(local, core.center) - reach - surface, 0.0)
         end = _core_at(shape, other, own, path, 1.0)
         reach = own.radius + _depth_along(end, local)
-        gap = wp.dot(local, end.center) - reach - support(solid, local)
+        gap = wp.dot(local, end.center) - reach - surface
         if gap >= floor:
-            return found, crashes, push
+            return found, crashes, before, push
         if push[3] == 0.0:
-            direction = push_at_end(shape, own, end)
+            direction = push_on(shape, own, end)
             push = wp.vec4(direction[0], direction[1], direction[2], 1.0)
         if wp.dot(wp.vec3(push[0], push[1], push[2]), local) > 0.0:
-            return found, crashes, push
+            return found, crashes, before, push
         turn = attitude_at(other, 1.0) * shape.attitude
         found.time = t
         found.normal = wp.quat_rotate(turn, local)
@@ -207,7 +219,7 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
         found.floor = floor
         found.surface_vel = surface_vel
         found.lever = wp.quat_rotate(attitude_at(path, 1.0), wp.quat_rotate_inv(attitude_at(path, t), arm))
-        return found, crashes, push
+        return found, crashes, before, push
 
     @wp.func
     def meet_part(
@@ -224,6 +236,7 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
         """Return the same of a part, face by face of a mesh."""
         solid = shape
         crashes = wp.bool(False)
+        before = wp.vec4()
         push = wp.vec4()
         face = wp.int32(0)
         is_mesh = wp.static(meshes) and shape.kind == MESH
@@ -239,8 +252,8 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
                     if more:
                         solid = face_of(shape, face)
             if more:
-                found, fast, push = meet_solid(
-                    solid, shape, other, own, path, done, spin, lin_vel, least_approach, push, found
+                found, fast, before, push = meet_solid(
+                    solid, shape, other, own, path, done, spin, lin_vel, least_approach, before, push, found
                 )
                 crashes = crashes or fast
             more = more and is_mesh

@@ -167,3 +167,21 @@ def test_a_crossing_is_a_crash_from_its_speed_of_approach_on(crash_speed: float,
     rig = InScene([WALL], obstacle(1), law, state, spheres=((0.0, 0.0, 0.0, 0.05),), robot=ROUND, dt=DT, gravity=0.0)
     rig.run(DT)
     assert rig.crashes.tolist() == [crashes]
+
+
+@pytest.mark.parametrize("coming", [0.0, -20.0])
+@pytest.mark.parametrize("name", ["slab", "sheet"])
+def test_no_ball_passes_through_a_thin_mesh(name: str, coming: float, tmp_path: Path) -> None:
+    """A closed mesh of 2 cm, and an open sheet, met at 5 to 40 m/s; at rest or coming."""
+    shape, axis = shape_of(name, tmp_path)[0], 0 if name == "slab" else 2
+    ahead = torch.eye(3)[axis]
+    speed = torch.linspace(5.0, 40.0, 100)[:, None]
+    place = -ahead * (0.1 + 0.03 * speed * (7.0 * speed % 1.0)) + 0.05 * (1.0 - ahead)
+    state = start(100, dtype=F32, position=place, lin_vel=ahead * speed)
+    parts = obstacle(100, lin_vel=coming * ahead)
+    ball = ((0.0, 0.0, 0.0, 0.04),)
+    rig = InScene([shape], parts, FIRM, state, spheres=ball, robot=ROUND, dt=DT, gravity=0.0)
+    for _ in range(12):
+        rig.run(DT)
+        assert ((state.position - parts[:, 0, :3])[:, axis] < 0.0).all()
+    assert rig.crashes.all()
