@@ -9,7 +9,8 @@ along their normals, and keeps its motion along them. The law of contact then ac
 reached. This depth is at most the speed times ``dt``, so the implicit law takes speed away and turns nothing round.
 The shifted path is swept again. After ``ROUNDS`` without a clear path the robot stays at its first pose.
 
-An obstacle that turns round or is wrapped within the substep is not swept here.
+Limits: an obstacle that turns round or is wrapped within the substep is not swept here. A box or capsule that pierces a mesh
+has no sure direction of contact, and may be pushed through; its touch is found all the same.
 Frames: world, z up; shapes in the frame of the body. Letters: E environments, C shapes.
 """
 
