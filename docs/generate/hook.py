@@ -47,11 +47,16 @@ def _index(pages: dict[str, str]) -> str:
 
 
 def _pictures() -> dict[str, str]:
-    """Return a drawing of the rotors of each registered robot."""
+    """Return a drawing of the rotors of each registered robot; robots with equal rotors share one."""
+    drawings: dict[object, str] = {}
+    pictures = {}
     with TemporaryDirectory() as folder:
         path = Path(folder) / "rotors.svg"
-        pictures = {}
         for name in ROBOTS.names():
-            draw_rotors(ROBOTS.get(name), path, name=name)
-            pictures[name] = path.read_text(encoding="utf-8")
+            robot = ROBOTS.get(name)
+            rotors = (robot.mounts.layout, robot.body.com, tuple(rotor.radius for rotor in robot.rotor_types))
+            if rotors not in drawings:
+                draw_rotors(robot, path)
+                drawings[rotors] = path.read_text(encoding="utf-8")
+            pictures[name] = drawings[rotors]
     return pictures
