@@ -20,13 +20,14 @@ import pytest
 
 from aerial_gym.cli.main import main
 from aerial_gym.physics import BACKENDS, EFFECTS
+from aerial_gym.rl_training import TRAINERS
 from aerial_gym.task import OBSERVATIONS, REWARDS, TERMINATIONS
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 MARKS = ("slow", "compare", "file: ", "not run: ")
-REGISTRIES = (BACKENDS, EFFECTS, OBSERVATIONS, REWARDS, TERMINATIONS)
+REGISTRIES = (BACKENDS, EFFECTS, OBSERVATIONS, REWARDS, TERMINATIONS, TRAINERS)
 
 
 @dataclass(frozen=True)
