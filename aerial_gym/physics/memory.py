@@ -1,4 +1,4 @@
-"""What effects remember of each environment between substeps, and how a substep begins and ends with it.
+"""Memory of effects: kept between substeps, updated at the start of each.
 
 Letters: E environments, R rotors, P parameters and M remembered numbers of an effect, S remembered commands.
 """
@@ -27,17 +27,17 @@ class Memory:
     random: Randomness  # Of the draws, which depend on `since` as well
 
     def tensors(self) -> dict[str, Tensor]:
-        """Return what changes from substep to substep, by name."""
+        """Return the tensors that change from substep to substep, by name."""
         return {"numbers": self.numbers, "past": self.past, "since": self.since}
 
 
 def num_past_commands(model: Model, dt: float) -> int:
-    """Return how many commands S must be remembered for substeps of ``dt`` [s]: the longest delay ends between two of them."""
+    """Return the number S of remembered commands for substeps of ``dt`` [s]."""
     return ceil(model.longest_delay / dt - 1e-9) + 2 if model.effects[DelayEffect] else 0
 
 
 def make_memory(model: Model, dt: float, *, random: Randomness | None = None) -> Memory:
-    """Return the memory of environments that have just been reset; ``random`` is that of the batch, else that of seed 0."""
+    """Return the memory right after a reset; ``random`` is that of the batch, of seed 0 if not given."""
     mass, vehicle = model.vehicle.mass, model.vehicle
     fresh = [number for effect, _ in model.effects.forces for number in effect.fresh_memory(vehicle.num_rotors)]
     initial = mass.new_tensor(fresh)
@@ -62,13 +62,13 @@ def forget(memory: Memory, mask: Tensor) -> Memory:
 def begin_substep(
     model: Model, memory: Memory, rotor_speed: Tensor, command: Tensor | Ramp, dt: float
 ) -> tuple[Model, RotorCommand, Memory]:
-    """Return the model with what is remembered in it, what the rotors follow, and the memory of a substep.
+    """Return the model with its memory, the commands that the rotors follow, and the memory of a substep.
 
     Args:
         memory: At the end of the substep before.
         rotor_speed: Rotor speeds [rad/s], (E, R).
-        command: Speeds that the control law commands in this substep [rad/s], (E, R), or how they are known to change: no
-            effect on commands acts then.
+        command: Commanded rotor speeds in this substep [rad/s], (E, R); or a ramp of known speeds, on which no effect on
+            commands acts.
         dt: Its length [s].
     """
     random = counted_state(memory.random.stream(Purpose.EFFECTS), memory.since)
@@ -89,14 +89,14 @@ def begin_substep(
 
 
 def _led_to(model: Model, command: Tensor) -> Tensor:
-    """Return the speeds (E, R) to which commands lead the rotors."""
+    """Return the rotor speeds (E, R) that commands lead to."""
     for effect, values in model.effects[CommandEffect]:
         command = effect.command(command, model.vehicle, values)
     return command
 
 
 def _delayed(model: Model, memory: Memory, rotor_speed: Tensor, dt: float) -> Succession:
-    """Return the commands that arrive during the substep; before the first one has come through, the states of the rotors."""
+    """Return the delayed commands of the substep; the rotor states before the first command arrives."""
     effect, params = model.effects[DelayEffect][0]
     substeps = (effect.delay(params) / dt).clamp(0.0, float(memory.past.shape[1] - 2))
     whole = substeps.detach().floor()
@@ -116,13 +116,13 @@ def load_of(model: Model, memory: Memory) -> Tensor:
 
 
 def place_memory(model: Model, memory: Memory, remembered: Mapping[str, Tensor]) -> Memory:
-    """Return the memory with what some effects remember, by name, (E, M), in it."""
+    """Return the memory with the numbers (E, M) of some effects replaced, by name."""
     places = model.effects.places(model.vehicle.num_rotors)
     parts = [remembered.get(place.effect.name, memory.numbers[:, place.memory]) for place in places]
     return replace(memory, numbers=torch.cat(parts, dim=-1))
 
 
 def end_substep(memory: Memory, load: Tensor) -> Memory:
-    """Return the memory after a substep, with the load (E, 6) or (E, 0) as it then moves."""
+    """Return the memory after a substep with the new motion of the load, (E, 6) or (E, 0)."""
     numbers = torch.cat((memory.numbers[:, : memory.numbers.shape[1] - load.shape[1]], load), dim=-1)
     return replace(memory, numbers=numbers, since=memory.since + 1)

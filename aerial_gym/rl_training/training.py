@@ -1,4 +1,4 @@
-"""Training: settings to a run folder, by any trainer. The libraries' global settings are put back afterwards."""
+"""Train a policy with any trainer into a run folder, and restore the global settings of the libraries afterwards."""
 
 import contextlib
 import json
@@ -37,10 +37,10 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingResult:
-    """What a session of training did."""
+    """Result of one session of training."""
 
     trainer: str
-    """Which library."""
+    """Name of the trainer."""
 
     checkpoint: str | None
     """The last checkpoint; None if the user ended it before the first."""
@@ -58,13 +58,13 @@ class TrainingResult:
     """Mean return of the last episodes, with exploration."""
 
     episode_length: float | None
-    """Mean length of them [steps]."""
+    """Mean length of the last episodes [steps]."""
 
     interrupted: bool
     """Whether the user ended it."""
 
     non_finite: int = 0
-    """Rows that were NaN or infinite, and so ended, in this session."""
+    """Number of NaN or infinite rows in this session; each ended its episode."""
 
 
 @usual_settings
@@ -78,7 +78,7 @@ def train(
     wandb: str | None = None,
     started: float | None = None,
 ) -> TrainingResult:
-    """Train a policy and leave a run folder; seeds the global random generators while it runs.
+    """Train a policy into a run folder. The global random generators are seeded meanwhile.
 
     Args:
         cfg: Settings; of a resumed run the limits may differ from those of the first session.
@@ -121,7 +121,7 @@ def train(
 
 @contextlib.contextmanager
 def _begun(cfg: TrainingCfg, folder: RunFolder, ranks: Ranks) -> Iterator[None]:
-    """Make the folder of a new run; nothing of it is left where what is inside refuses the request before it begins."""
+    """Make the folder of a new run, and remove it if the request is refused before the first session."""
     folder.create(cfg)
     try:
         yield
@@ -135,7 +135,7 @@ def _begun(cfg: TrainingCfg, folder: RunFolder, ranks: Ranks) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _folder_of(ranks: Ranks, out: str | Path) -> Iterator[RunFolder]:
-    """Give the run folder; to processes other than rank 0 one that is gone afterwards, so that a run has the files of one."""
+    """Yield the run folder in rank 0, and a temporary one in other processes."""
     if ranks.leads:
         yield RunFolder(out)
         return
@@ -190,7 +190,7 @@ def _train(
 
 
 def _check_names(cfg: TrainingCfg, *, resume: bool) -> None:
-    """Raise the error of an unknown name or an unreadable robot file before anything is written."""
+    """Raise an error for an unknown name or an unreadable file before anything is written."""
     task_registry.get(cfg.task)
     TRAINERS.get(cfg.trainer).check(cfg)
     if cfg.initial is not None and not resume:
@@ -254,7 +254,7 @@ def _run(
 
 @contextlib.contextmanager
 def _restored_globals(cfg: TrainingCfg) -> Iterator[None]:
-    """Set torch's threads, and put back what the libraries change for the whole process."""
+    """Set the threads of torch, and restore the global settings that the libraries change."""
     threads, precision = torch.get_num_threads(), torch.get_float32_matmul_precision()
     cudnn = torch.backends.cudnn.benchmark, torch.backends.cudnn.allow_tf32, torch.backends.cuda.matmul.allow_tf32
     sharing, numpy_state, python_state = (

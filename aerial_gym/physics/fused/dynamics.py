@@ -17,12 +17,14 @@ from aerial_gym.physics.fused.types import Suspension, rotor_types
 from aerial_gym.physics.model import Model
 
 STAGES = {"euler": 1.0, "rk4": 0.5}
-"""Part of a step over which a stepper follows the rotors at once."""
+"""Share of a step between two evaluations of the rotor lag."""
 
 
 def make_accelerations(model: Model, *, upright: bool) -> wp.Function:
-    """Return a function to linear [m/s², world] and angular acceleration [rad/s², body] with just the model's effects;
-    ``upright`` as for ``make_loads``."""
+    """Return the function of linear [m/s², world] and angular acceleration [rad/s², body].
+
+    ``upright`` as for ``make_loads``.
+    """
     num_rotors, general = model.vehicle.num_rotors, not model.vehicle.plain
     types, effects, params_type = rotor_types(num_rotors, general), model.effects, values_type(model)
     vehicle_type, vector = types.vehicle, types.vector
@@ -145,8 +147,7 @@ def settle(load: wp.spatial_vector) -> wp.spatial_vector:
 
 
 def make_stepper(model: Model, integrator: str, *, upright: bool) -> wp.Function:
-    """Return a function that advances the motion of the centre of mass and the rotors by one step; ``upright`` as for
-    ``make_loads``."""
+    """Return the function of one step of the centre of mass and the rotors; ``upright`` as for ``make_loads``."""
     num_rotors, general = model.vehicle.num_rotors, not model.vehicle.plain
     types, late = rotor_types(num_rotors, general), bool(model.effects[DelayEffect])
     parts = (

@@ -17,7 +17,7 @@ from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotor_maps import make_maps
 
 NO_CEILING = 1e30
-"""Height in its place [m]: far above all others, and finite in float32."""
+"""Height of the ceiling if there is none [m]: finite in float32."""
 
 
 def _sum_of_rotors(terms: list[tuple[wp.Function, wp.Function]], condition: Any, params: Any) -> wp.Function:
@@ -65,7 +65,7 @@ def _sum_of(terms: list[tuple[wp.Function, wp.Function]], argument: Any, params:
 
 
 def _make_hub_at(num_rotors: int, general: bool, upright: bool) -> wp.Function:
-    """Return a function to what one rotor feels. (A struct written anew in a loop would have a wrong adjoint.)"""
+    """Return a function to the ``Hub`` of one rotor. (A struct assigned in a loop would have a wrong adjoint.)"""
     types = rotor_types(num_rotors, general)
     vehicle_type, condition_type = types.vehicle, types.condition
 
@@ -97,29 +97,31 @@ def _make_hub_at(num_rotors: int, general: bool, upright: bool) -> wp.Function:
 
 
 Acts = Callable[[Effect], bool] | None
-"""Which effects act; None: all."""
+"""Condition for an effect to act; None: all act."""
 
 
 def _chosen(model: Model, kind: type[Effect], acts: Acts) -> list[tuple[Any, wp.Function]]:
-    """Return the effects of a kind that act, each with the function to its numbers among those of all effects."""
+    """Return the acting effects of a kind, each with the function to its values."""
     return [(effect, pick.get) for effect, pick in value_access(model, kind) if acts is None or acts(effect)]
 
 
 def make_wind(model: Model, acts: Acts = None) -> wp.Function:
-    """Return a function to the velocity of the air [m/s], world: (position [m], world, values of all effects)."""
+    """Return the function (position [m], world, values of all effects) -> velocity of the air [m/s], world."""
     winds = [(effect.warp_wind(), get) for effect, get in _chosen(model, WindEffect, acts)]
     return _sum_of(winds, wp.vec3, values_type(model), wp.vec3)
 
 
 def make_loads(model: Model, *, upright: bool, num_rotors: int | None = None, acts: Acts = None) -> wp.Function:
-    """Return a function to thrusts [N] and drag torques [N m] of the rotors, force and torque of the effects on the whole about
-    the centre of mass, body, and the condition that they saw: ``rigid_body.acting_in`` for one environment.
+    """Return the Warp twin of ``rigid_body.acting_in`` for one environment.
+
+    Results: thrusts [N] and drag torques [N m] of the rotors; force [N] and torque about the centre of mass [N m] of the
+    effects, body; the condition of the effects.
 
     Args:
-        model: Effects, whose numbers the function is given all.
-        upright: Whether all rotors thrust along body z: what is zero then is not worked out, and has no gradient.
-        num_rotors: How many rotors the vehicle has that the function is given; those of the model unless given.
-        acts: Which effects act, those on the wind among them; all unless given.
+        model: With all effects whose values the function takes.
+        upright: Whether all rotors thrust along body z. Components that are then zero are not computed, and have no gradient.
+        num_rotors: Number of rotors of the vehicle that the function takes; that of the model if not given.
+        acts: Condition for an effect to act; all act if not given.
     """
     num_rotors, general = model.vehicle.num_rotors if num_rotors is None else num_rotors, not model.vehicle.plain
     types = rotor_types(num_rotors, general)

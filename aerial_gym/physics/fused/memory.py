@@ -1,4 +1,4 @@
-"""The start of a substep for one environment: what effects remember, and the command that the rotors follow.
+"""Start of a substep for one environment in Warp: memory of the effects, and rotor commands after delay and battery.
 
 Twin of ``physics.memory``. Letters: E environments, R rotors, M numbers of all effects, S remembered commands.
 """
@@ -28,7 +28,7 @@ class MemoryArrays:
 
 @wp.struct
 class NoMemory:
-    """In its place where no effect remembers anything: a launch costs the more the longer its arguments are."""
+    """In place of ``MemoryArrays`` without memory: short arguments make a launch cheaper."""
 
     slots: int  # 0
 
@@ -44,28 +44,28 @@ class LawArrays:
 
 @wp.struct
 class LawAlone:
-    """Where the law remembers, and no effect."""
+    """Memory of the law, if no effect has memory."""
 
     law: LawArrays
 
 
 @wp.struct
 class LawAndEffects:
-    """Where both remember."""
+    """Memory of law and effects."""
 
     law: LawArrays
     effects: MemoryArrays
 
 
 def memory_type(*, effects: bool, law: bool) -> Any:
-    """Return the struct that a kernel is given, by who remembers anything."""
+    """Return the struct of memory of a kernel, for effects and law with or without memory."""
     if law:
         return LawAndEffects if effects else LawAlone
     return MemoryArrays if effects else NoMemory
 
 
 def make_begin(model: Model) -> wp.Function:
-    """Return a function from values and command to those of a substep; with a delay, to two commands."""
+    """Return the function from values and command to those of a substep; with a delay, to two commands."""
     types, values, num_rotors = types_of(model), values_type(model), model.vehicle.num_rotors
     moment, vehicle_type, vector = types.moment, types.vehicle, types.vector
     remember, lead, any_delay = _make_remember(model), _make_lead(model), bool(model.effects[DelayEffect])
@@ -147,7 +147,7 @@ def _make_lead(model: Model) -> wp.Function:
 
 
 def _make_delayed(model: Model, lead: wp.Function) -> wp.Function:
-    """Return a function to the commands that arrive during the substep."""
+    """Return the function to the delayed commands of the substep."""
     types, values, num_rotors = types_of(model), values_type(model), model.vehicle.num_rotors
     ((effect, access),) = value_access(model, DelayEffect)
     delay_of, pick, arrive = effect.warp_delay(), access.get, _make_arrive(types, num_rotors, lead, values)

@@ -1,9 +1,9 @@
-"""Where each number of an environment stands for the fused kernel, and how it is written there from torch.
+"""Memory layout of the numbers that the fused kernel reads, and their computation in torch.
 
-A number that all environments share stands in a struct, which a launch passes by value. One that differs stands in the packed
-tensor (N, E): its *row* is the same for all environments, so that neighbouring threads read neighbouring memory. What effects
-have, parameters first and memory behind them, stays in one vector of *values* over the substeps, each effect at its *place*.
-All writing is torch arithmetic: it can be captured, and gradients flow through it.
+A number that all environments share is in a struct, which a launch passes by value. A number that differs has a *row* of the
+packed tensor (N, E), so neighbouring threads read neighbouring memory. Parameters and memory of all effects form one vector
+of *values* over the substeps, with each effect at its *place*. All packing is torch arithmetic: a CUDA graph can capture it,
+and gradients flow through it.
 Letters: E environments, R rotors, N packed numbers, P parameters and M remembered numbers of an effect.
 """
 
@@ -29,7 +29,7 @@ AnyKind = TypeVar("AnyKind", bound=Effect)
 
 @dataclass(frozen=True)
 class Field:
-    """One field of a parameter struct and how it follows from tensors (E, ...)."""
+    """A field of a parameter struct, computed from tensors (E, ...)."""
 
     name: str
     sources: tuple[Tensor, ...]
@@ -41,7 +41,7 @@ class Field:
         return all(is_shared(source) for source in self.sources)
 
     def rows(self, entries: tuple[int, ...] | None = None) -> Tensor:
-        """Return the numbers of every environment, (E, n), or only some entries of them."""
+        """Return the numbers of every environment, (E, n), or some entries of them."""
         rows = self.compute(*self.sources).flatten(1)
         return rows if entries is None else torch.stack([rows[:, i] for i in entries], dim=1)
 
@@ -55,7 +55,7 @@ def _same(rows: Tensor) -> Tensor:
 
 
 def _vehicle_fields(model: Model, stage: float) -> list[Field]:
-    """Return the fields of ``VehicleParameters``; ``stage`` [s] is the span over which a rotor is followed at once."""
+    """Return the fields of the vehicle; ``stage`` [s] is the time between two evaluations of the rotor lag."""
     v = model.vehicle
 
     def decay(tau: Tensor) -> Tensor:
@@ -107,7 +107,7 @@ def _vehicle_fields(model: Model, stage: float) -> list[Field]:
 
 
 def _command_fields(law: FusedLaw, plain: bool) -> list[Field]:
-    """Return the fields of ``CommandParameters``."""
+    """Return the fields of the command."""
 
     def speed_map(thrust_map: Tensor) -> Tensor:
         """Complete the square of ``c0 + c1 w + c2 w² = T``."""
@@ -138,7 +138,7 @@ class Numbers:
 
 
 def numbers_of(model: Model, law: FusedLaw, stage: float) -> Numbers:
-    """Return all numbers; ``stage`` [s] is the span over which a rotor is followed at once."""
+    """Return all numbers; ``stage`` as for the fields of the vehicle."""
     gains = [Field(name, (rows,), _same) for name, rows in law.gains.items()]
     effects = [params for _, params in model.effects.forces]
     command = _command_fields(law, model.vehicle.plain)
@@ -146,10 +146,10 @@ def numbers_of(model: Model, law: FusedLaw, stage: float) -> Numbers:
 
 
 SYMMETRIC = (0, 1, 2, 4, 5, 8)
-"""Entries of a symmetric 3 x 3 matrix from which the others follow."""
+"""Independent entries of a symmetric 3 x 3 matrix."""
 
 COMMAND_COLUMNS = {"allocation": range(2, 6), "speed_map": range(1, 2)}
-"""Columns of a field of the command, beside which there may be zeros alone."""
+"""Columns of a field of the command that can be non-zero if the others are not needed."""
 
 
 @dataclass(frozen=True)
@@ -167,16 +167,16 @@ class Packing:
 
     @property
     def behind_vehicle(self) -> int:
-        """The first row that is not of the vehicle."""
+        """First row after those of the vehicle."""
         return min([*self.command.values(), self.behind_command])
 
     @property
     def behind_command(self) -> int:
-        """The first row that is neither of the vehicle nor of the command."""
+        """First row after those of the vehicle and the command."""
         return self.effects if self.gains is None else self.gains
 
     def fits(self, numbers: Numbers) -> bool:
-        """Return whether what is packed of each field still says all of it."""
+        """Return whether the packed entries of each field still determine it."""
         return (
             self.entries.keys() <= entries_of(numbers.vehicle).keys()
             and self.twins <= twins_of(numbers.vehicle).keys()
@@ -185,7 +185,7 @@ class Packing:
 
 
 def arrange(numbers: Numbers, *, all_packed: bool) -> Packing:
-    """Return a row for every number that differs between environments; with ``all_packed`` for every number."""
+    """Return the rows of all numbers that differ between environments, or of all numbers with ``all_packed``."""
     first, few = 0, {} if all_packed else entries_of(numbers.vehicle)
     few_of_command = {} if all_packed else command_entries_of(numbers)
     twins = {} if all_packed else twins_of(numbers.vehicle)
@@ -213,9 +213,9 @@ def arrange(numbers: Numbers, *, all_packed: bool) -> Packing:
 
 
 def entries_of(vehicle: list[Field]) -> dict[str, tuple[int, ...]]:
-    """Return the entries from which a field follows: half of the inertia, and the squares of maps that have nothing else.
+    """Return the independent entries of fields: half of the inertia, and the squares of purely quadratic maps.
 
-    What draws do to a map is a factor on each rotor: what is zero stays zero.
+    Randomisation multiplies the map of a rotor by a factor, so zeros stay zero.
     """
     found = {"inertia": SYMMETRIC, "inertia_inverse": SYMMETRIC}
     for field in vehicle:
@@ -225,15 +225,18 @@ def entries_of(vehicle: list[Field]) -> dict[str, tuple[int, ...]]:
 
 
 def twins_of(vehicle: list[Field]) -> dict[str, str]:
-    """Return fields that follow from the same tensors in the same way as an earlier one, each with that."""
+    """Return fields with the same sources and formula as an earlier field, each with the name of that field."""
     first: dict[tuple[object, ...], str] = {}
     found = {field.name: first.setdefault((field.compute, *map(id, field.sources)), field.name) for field in vehicle}
     return {name: other for name, other in found.items() if name != other}
 
 
 def command_entries_of(numbers: Numbers) -> dict[str, tuple[int, ...]]:
-    """Return the entries of the command that are needed: of the allocation not those for lateral force, where no law asks for
-    it, and of a speed map ``1 / c2`` alone, where thrusts have squares of the speed alone."""
+    """Return the necessary entries of the command.
+
+    The allocation needs no columns of lateral force unless a law commands it. A speed map of purely quadratic thrust needs
+    ``1 / c2`` alone.
+    """
     found = {}
     for field in numbers.command:
         if (field.name == "allocation" and not numbers.lateral) or (field.name == "speed_map" and only_squares(field)):
@@ -243,7 +246,7 @@ def command_entries_of(numbers: Numbers) -> dict[str, tuple[int, ...]]:
 
 
 def only_squares(field: Field) -> bool:
-    """Return whether a field of maps (E, R, 3) has squares of the speed alone."""
+    """Return whether a field of maps (E, R, 3) is purely quadratic in the speed."""
     return not bool(field.sources[0][..., :2].any())
 
 
@@ -256,26 +259,28 @@ def packed_rows(packing: Packing, numbers: Numbers) -> list[Tensor]:
 
 
 def vehicle_rows(packing: Packing, numbers: Numbers) -> list[Tensor]:
-    """Return those of the vehicle."""
+    """Return the packed numbers of the vehicle."""
     packed = (field for field in numbers.vehicle if field.name in packing.vehicle and field.name not in packing.twins)
     return [field.rows(packing.entries.get(field.name)) for field in packed]
 
 
 def command_rows(packing: Packing, numbers: Numbers) -> list[Tensor]:
-    """Return those of the command."""
+    """Return the packed numbers of the command."""
     packed = (field for field in numbers.command if field.name in packing.command)
     return [field.rows(packing.command_entries.get(field.name)) for field in packed]
 
 
 def parameter_rows(packing: Packing, numbers: Numbers, *, command: bool = False) -> tuple[Tensor, ...]:
-    """Return the packed numbers of the vehicle, and with ``command`` those of the command behind them, (E, n), and the
-    parameters of the effects, (E, m); without what is empty."""
+    """Return the packed numbers of the vehicle, (E, n), and the parameters of the effects, (E, m), unless empty.
+
+    With ``command``, those of the command follow the vehicle's.
+    """
     drawn = vehicle_rows(packing, numbers) + (command_rows(packing, numbers) if command else [])
     return tuple(torch.cat(rows, dim=1) for rows in (drawn, numbers.effects) if rows)
 
 
 def shared_structs(packing: Packing, numbers: Numbers, law: FusedLaw, types: RotorTypes) -> list[Any]:
-    """Return the structs of vehicle, command and gains with the shared numbers in them; fields that are packed stay zero."""
+    """Return the structs of vehicle, command and gains with their shared numbers; packed fields are zero."""
     gains = numbers.gains if packing.gains is None else []
     return [
         _struct(types.vehicle, numbers.vehicle, packing.vehicle),
@@ -305,20 +310,20 @@ class Pick:
     """Access to the values of one effect."""
 
     get: wp.Function
-    """``wp.func`` (values of all effects) -> parameters of this one, and its memory behind them: vector of P + M."""
+    """``wp.func`` (values of all effects) -> parameters and memory of this effect: vector of P + M."""
 
     put: wp.Function
     """``wp.func`` (values of all, vector of P + M) -> values of all with this memory."""
 
 
 def num_values(model: Model) -> tuple[int, int]:
-    """Return how many parameters and remembered numbers there are."""
+    """Return the numbers of parameters and of remembered numbers of all effects."""
     places = model.effects.places(model.vehicle.num_rotors)
     return (places[-1].params.stop, places[-1].memory.stop) if places else (0, 0)
 
 
 def values_type(model: Model) -> Any:
-    """Return the type of the vector."""
+    """Return the type of the vector of values of all effects."""
     return vector_type(max(sum(num_values(model)), 1))
 
 

@@ -24,21 +24,21 @@ from aerial_gym.task import Task
 
 
 class Fitting(Protocol):
-    """What takes observations and gives actions."""
+    """A policy with known observations and actions."""
 
     @property
     def shapes(self) -> Mapping[str, tuple[int, ...]]:
-        """What it sees of an environment, by key of the observation."""
+        """Shapes of its inputs for one environment, by key of the observation."""
         ...
 
     @property
     def num_actions(self) -> int:
-        """Entries of an action."""
+        """Number of entries of an action."""
         ...
 
 
 def check_fits(policy: Fitting, task: Task, trained_on: str) -> None:
-    """Raise ``ConfigError`` if a policy does not take the observations of a task, or does not give its actions."""
+    """Raise ``ConfigError`` if observations or actions of a policy and a task differ."""
     spaces, actions = task.observation_space, task.action_space
     assert actions.shape is not None
     has = {key: tuple(spaces[key].shape or ()) for key in spaces.spaces}
@@ -50,7 +50,7 @@ def check_fits(policy: Fitting, task: Task, trained_on: str) -> None:
 
 
 def told_shapes(shapes: Mapping[str, tuple[int, ...]]) -> str:
-    """Return keys and shapes for a sentence."""
+    """Return keys and shapes as text."""
     return ", ".join(f"{' x '.join(str(n) for n in shape)} {key}" for key, shape in sorted(shapes.items()))
 
 
@@ -67,7 +67,7 @@ def load_policy(source: str | Path, *, device: str | torch.device = "cpu") -> tu
 
 
 def checkpoint_of(source: str | Path) -> tuple[Path, TrainingCfg]:
-    """Return the last checkpoint of a run folder, or the one that is given, and the settings of the run.
+    """Return the given checkpoint, or the last one of a run folder, and the settings of the run.
 
     Raises:
         ConfigError: If there is no such run or checkpoint.
@@ -78,7 +78,7 @@ def checkpoint_of(source: str | Path) -> tuple[Path, TrainingCfg]:
 
 
 def policy_from_payload(payload: Mapping[str, Any], cfg: TrainingCfg, *, where: str) -> Policy:
-    """Return the policy in what a checkpoint of any trainer holds; ``where`` is named in errors."""
+    """Return the policy in the payload of a checkpoint; ``where`` is named in errors."""
     model = payload.get("model")
     if not isinstance(model, Mapping) or not all(isinstance(value, Tensor) for value in model.values()):
         raise ConfigError(f"checkpoint {where}: holds no network")
@@ -100,7 +100,7 @@ def own_policy(model: Mapping[str, Tensor], network: Any, cfg: TrainingCfg, *, w
 
 
 def body_cfg(cfg: TrainingCfg, shapes: Mapping[str, tuple[int, ...]]) -> BodyCfg:
-    """Return the body of a policy of the settings over observations of these shapes."""
+    """Return the settings of a policy's body for observations of these shapes."""
     learner = cfg.learner
     return BodyCfg(
         shapes=shapes,
