@@ -163,40 +163,27 @@ class External(HTMLParser):
         self.urls += [url for url in urls if url and url.startswith(("http:", "https:", "//"))]
 
 
-@pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the built site; the build is strict, so that each link and each page of the navigation resolves."""
-    folder = tmp_path_factory.mktemp("site")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
+def test_the_site_is_complete_and_loads_nothing_from_a_network(tmp_path: Path) -> None:
+    """One build for all checks. It is strict, so that each link and each page of the navigation resolves."""
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
     environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    return folder
+    assert not external_urls(tmp_path)
+    index = (tmp_path / "search" / "search_index.js").read_text(encoding="utf-8")
+    pages = (page.relative_to(DOCS).with_suffix(".html").as_posix() for page in DOCS.rglob("*.md"))
+    assert not [page for page in pages if f'"location":"{page}"' not in index]
+    assert 'id="base_quadrotor"' in (tmp_path / "reference" / "robots.html").read_text(encoding="utf-8")
+    assert (tmp_path / "reference" / "pictures" / "base_quadrotor.svg").is_file()
 
 
-def test_the_site_loads_nothing_from_a_network(site: Path) -> None:
-    found = {}
+def external_urls(site: Path) -> list[str]:
+    """Return the addresses of scripts, styles, images and fonts that a site loads from a network."""
+    parser = External()
     for page in site.rglob("*.html"):
-        parser = External()
         parser.feed(page.read_text(encoding="utf-8"))
-        if parser.urls:
-            found[page.name] = parser.urls
-    styles = (path.read_text(encoding="utf-8") for path in site.rglob("*.css"))
-    assert not found
-    assert not any(re.search(r"(url\(|@import)\s*[\"']?(https?:)?//", style) for style in styles)
-
-
-def test_every_page_can_be_searched(site: Path) -> None:
-    index = (site / "search" / "search_index.js").read_text(encoding="utf-8")
-    for page in DOCS.rglob("*.md"):
-        assert f'"location":"{page.relative_to(DOCS).with_suffix(".html").as_posix()}"' in index
-
-
-def test_the_reference_has_every_name(site: Path) -> None:
-    """Names come from the registries themselves, each with its heading."""
-    robots = (site / "reference" / "robots.html").read_text(encoding="utf-8")
-    assert 'id="base_quadrotor"' in robots
-    assert (site / "reference" / "pictures" / "base_quadrotor.svg").is_file()
+    styles = "".join(path.read_text(encoding="utf-8") for path in site.rglob("*.css"))
+    return parser.urls + re.findall(r"(?:url\(|@import)\s*[\"']?((?:https?:)?//[^\"')]*)", styles)
 
 
 def test_every_configuration_class_is_in_the_reference() -> None:
