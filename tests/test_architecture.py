@@ -23,13 +23,14 @@ RANK = {name: rank for rank, group in enumerate(GROUPS) for name in group}
 
 
 ROOMS = (
-    ("arrays",),
+    ("arrays", "findings"),
     ("plain", "progress", "statistics", "memory"),
     ("logs",),
     ("predict",),
     ("identify",),
     ("failures",),
     ("judge",),
+    ("wording",),
     ("report",),
     ("replay", "teststand"),
     ("in_memory",),

@@ -101,32 +101,36 @@ class CloseLoopCmd:
                 progress=progress,
             )
         if self.json:
-            print(json_line(verdict.as_mapping()))
+            from aerial_gym.sim2real.report.verdict_json import verdict_json
+
+            print(json_line(verdict_json(verdict)))
         else:
             _print_verdict(verdict, self.out)
         return 0
 
 
 def _print_verdict(verdict: "Verdict", out: Path) -> None:
-    from aerial_gym.sim2real.logs.inputs import LEFT_OUT
+    from aerial_gym.sim2real.judge.answer import answer
     from aerial_gym.sim2real.report.tables import SHOWN_NOTES, became_rows, channel_rows, named_rows, rollout_rows
+    from aerial_gym.sim2real.wording import answer_texts, joined, text
 
     console = Console(markup=False)
-    console.print(f"{verdict.verdict}: {verdict.reason}")
+    console.print(f"verdict: {verdict.verdict}")
+    for sentence in answer_texts(answer(verdict).parts):
+        console.print(sentence)
     shown = verdict.notes[:SHOWN_NOTES]
     for note in shown:
-        if note.startswith(LEFT_OUT):
-            console.print(f"  {note}")
-    console.print(verdict.meaning)
+        if note.code == "flight_left_out":
+            console.print(text(note))
     for effect in named_rows(verdict):
         console.print(f"  {effect['name']}: {effect['parameters']}; {effect['sure']}")
     for state, channels in became_rows(verdict).items():
         console.print(f"  {state}: {channels}")
     if verdict.learned is not None:
-        console.print(f"  {verdict.learned.sentence}")
+        console.print(f"  {joined(verdict.learned.findings)}")
     for note in shown:
-        if not note.startswith(LEFT_OUT):
-            console.print(f"  note: {note}")
+        if note.code != "flight_left_out":
+            console.print(f"  note: {text(note)}")
     if (more := len(verdict.notes) - len(shown)) > 0:
         console.print(f"  {more} more notes in the report")
     after = verdict.after if verdict.corrects else None
@@ -144,8 +148,6 @@ def _print_verdict(verdict: "Verdict", out: Path) -> None:
             keys = ("quantity", "horizon", "before", "after", "change", "became")
             table.add_row(*(row[key] for key in keys))
         console.print(table)
-    if verdict.manoeuvre is not None:
-        console.print(f"what would tell: {verdict.manoeuvre.text}")
     if verdict.not_testable:
         console.print(f"not testable: {', '.join(verdict.not_testable)}")
     console.print(

@@ -254,8 +254,10 @@ def _write(out: Path | None, study: "Study", options: dict[str, object], inputs:
 
 
 def _show(study: "Study", out: Path | None, *, as_json: bool) -> int:
+    from aerial_gym.sim2real.wording import rendered, text
+
     if as_json:
-        print(json_line(study.mapping, allow_nan=False))
+        print(json_line(rendered(study.mapping), allow_nan=False))
         return 0
     console = Console(markup=False)
     console.print(f"{study.title}. {study.intro}")
@@ -267,7 +269,7 @@ def _show(study: "Study", out: Path | None, *, as_json: bool) -> int:
             table.add_row(*row)
         console.print(table)
     for note in study.notes:
-        console.print(f"note: {note}")
+        console.print(f"note: {text(note)}")
     if out is not None:
         console.print(f"written: {', '.join(f'{out}/{name}' for name in ('report.md', 'result.json', *study.files))}")
     return 0

@@ -42,6 +42,7 @@ class ReplayCmd:
         from aerial_gym.sim2real import replay
         from aerial_gym.sim2real.predict.rollout import QUANTITIES
         from aerial_gym.sim2real.report.tables import SHOWN_NOTES, channel_rows, interval
+        from aerial_gym.sim2real.wording import text
 
         with progress_bar() as progress:
             result = replay(
@@ -73,7 +74,7 @@ class ReplayCmd:
                     table.add_row(variant.replace("_", " "), name, f"{horizon:g}", interval(rms))
         console.print(table)
         for note in result.notes[:SHOWN_NOTES]:
-            console.print(f"note: {note}")
+            console.print(f"note: {text(note)}")
         if (more := len(result.notes) - SHOWN_NOTES) > 0:
             console.print(
                 f"{more} more notes {'in the report' if self.out else 'with --json, or in the report of --out'}"

@@ -59,6 +59,7 @@ class WatchCmd:
         from aerial_gym.errors import DataError
         from aerial_gym.sim2real.failures.watch import NAMED, Watch
         from aerial_gym.sim2real.logs.readers.csv_lines import find_header
+        from aerial_gym.sim2real.wording import rendered, text
 
         numbered, named, interrupted = enumerate(lines, start=1), 0, False
         header = find_header((line for _, line in numbered), "t")
@@ -71,7 +72,8 @@ class WatchCmd:
         try:
             for alarm in _alarms(watch, header, numbered, self.log, refuse=not self.follow):
                 named += alarm.stage == NAMED
-                print(json_line(alarm.as_mapping()) if self.json else alarm.sentence, flush=True)
+                sentence = f"{alarm.stage} at {alarm.told_s:.2f} s: {text(alarm.failure.finding)}"
+                print(json_line(rendered(alarm.as_mapping())) if self.json else sentence, flush=True)
         except KeyboardInterrupt:
             if not self.follow:
                 raise
@@ -105,6 +107,7 @@ def _alarms(
         DataError: If no row can be used, and ``refuse`` is set.
     """
     from aerial_gym.errors import DataError
+    from aerial_gym.sim2real.wording import text
 
     rows = unreadable = named = 0
     for number, line in lines:
@@ -118,7 +121,8 @@ def _alarms(
         before = watch.bad_rows
         yield from watch.add(row)
         if watch.bad_rows > before:
-            named += _name_bad(named, f"{log}, by line {number}: {watch.last_bad}")
+            assert watch.last_bad is not None
+            named += _name_bad(named, f"{log}, by line {number}: {text(watch.last_bad)}")
     yield from watch.ended()
     bad = unreadable + watch.bad_rows
     if refuse and bad == rows:

@@ -21,6 +21,8 @@ from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.report.ranges import with_found_ranges
 from aerial_gym.sim2real.report.report import write_report
 from aerial_gym.sim2real.report.run_folder import check_out_dir, whole_folder, write_record
+from aerial_gym.sim2real.report.verdict_json import verdict_json
+from aerial_gym.sim2real.wording import text
 
 if TYPE_CHECKING:
     from aerial_gym.sim2real.teststand.joints.flights import FoundJoints
@@ -77,8 +79,8 @@ def close_loop(
         progress("reading flights", 0.0)
         layout = None if mapping is None else find_mapping(mapping)
         inputs = read_inputs(declared, train, test, mapping=layout, bandwidth=bandwidth)
-        for sentence in inputs.left_out:
-            progress(sentence, 0.0)
+        for note in inputs.left_out:
+            progress(text(note), 0.0)
         found = _found_joints(declared, inputs, progress) if joints else None
         alone = judge_flights(
             declared,
@@ -115,7 +117,7 @@ def close_loop(
             "tolerances": vars(judged.declared.tolerances),
         }
         with whole_folder(Path(out_dir)) as folder:
-            write_json(folder / "verdict.json", verdict.as_mapping())
+            write_json(folder / "verdict.json", verdict_json(verdict))
             (folder / "robot.yaml").write_text(dump_yaml(corrected), encoding="utf-8", errors="surrogateescape")
             write_report(folder, judged)
             write_record(folder, config, inputs.digests)

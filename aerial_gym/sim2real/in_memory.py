@@ -6,7 +6,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.model import check_rotors
-from aerial_gym.sim2real.failures.finding import Failure, FailureFinder, until_failure
+from aerial_gym.sim2real.failures.flight_event import Failure, FailureFinder, until_failure
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.identify.stages import declare, select
 from aerial_gym.sim2real.judge.analysis import Judged, judge
@@ -15,6 +15,7 @@ from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress, silent
+from aerial_gym.sim2real.wording import text
 
 
 def judge_flights(
@@ -57,8 +58,9 @@ def _left_of(role: str, flights: Sequence[Flight], failures: Sequence[Failure]) 
     """Return flights up to their failures; refuse to go on with none."""
     left = until_failure(flights, failures)
     if flights and not left:
-        told = next(failure.sentence for failure in failures if failure.flight in {flight.name for flight in flights})
+        first = next(failure for failure in failures if failure.flight in {flight.name for flight in flights})
         raise DataError(
-            f"{told}; too little comes before it to {role} on, and no other flight is left: add one that does not fail"
+            f"{text(first.finding)} Too little comes before it to {role} on, and no other flight is left: add one that does "
+            "not fail"
         )
     return left

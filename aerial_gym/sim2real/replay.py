@@ -9,6 +9,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.interop import one_thread
 from aerial_gym.physics.model import check_effects
 from aerial_gym.robots.catalog import robot_by_name
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate, missing_for_rollouts
 from aerial_gym.sim2real.logs.flights import Flight, load_flights, notes_of, rigid_notes
 from aerial_gym.sim2real.logs.inputs import check_bandwidth, file_digests
@@ -22,6 +23,7 @@ from aerial_gym.sim2real.predict.scene import check_scene
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.report.run_folder import check_out_dir, whole_folder, write_record
+from aerial_gym.sim2real.wording import text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,10 +38,10 @@ class Replay:
     evaluation: Evaluation
 
     @property
-    def notes(self) -> list[str]:
-        """What else a reader must know."""
+    def notes(self) -> list[Finding]:
+        """Notes on the vehicle, the logs and missing rollouts."""
         missing = missing_for_rollouts(self.flights)
-        return [*rigid_notes(self.robot), *notes_of(self.flights), *([f"no rollouts: {missing}"] if missing else [])]
+        return [*rigid_notes(self.robot), *notes_of(self.flights), *([] if missing is None else [missing])]
 
     def as_mapping(self) -> dict[str, object]:
         """Return the figures for JSON."""
@@ -47,7 +49,7 @@ class Replay:
             "flights": [flight.path for flight in self.flights],
             "bandwidth_hz": self.bandwidth,
             "replay": self.evaluation.as_mapping(),
-            "notes": self.notes,
+            "notes": [text(note) for note in self.notes],
         }
 
 
@@ -155,7 +157,7 @@ def _write(folder: Path, result: Replay) -> None:
         "channels": channel_rows(result.evaluation, None),
         "rollouts": rollouts,
         "figures": figures,
-        "notes": result.notes,
+        "notes": [text(note) for note in result.notes],
         "shown_notes": SHOWN_NOTES,
         "no_rollouts": missing_for_rollouts(result.flights),
     }

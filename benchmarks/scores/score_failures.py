@@ -20,10 +20,11 @@ import numpy as np
 
 from aerial_gym.interop import one_thread
 from aerial_gym.robots.catalog import robot_by_name
-from aerial_gym.sim2real.failures.finding import Failure as Found
-from aerial_gym.sim2real.failures.finding import FailureFinder
+from aerial_gym.sim2real.failures.flight_event import Failure as Found
+from aerial_gym.sim2real.failures.flight_event import FailureFinder
 from aerial_gym.sim2real.failures.watch import NAMED, SUSPECTED, Alarm, Watch
 from aerial_gym.sim2real.logs.flights import load_flights
+from aerial_gym.sim2real.wording import rendered
 from benchmarks.undeclared import EFFECTS, CaseFiles, Failure, make_case
 from benchmarks.undeclared.failures import KINDS
 
@@ -119,8 +120,8 @@ def quiet(seed: int, folder: Path, effect: str | None, flights: int, duration_s:
         "seed": seed,
         "hidden": effect or "nothing",
         "hours": sum(log_s for *_, log_s in rows) / 3600.0,
-        "watch": [alarm.as_mapping() for _, alarms, _, _ in rows for alarm in alarms],
-        "close_loop": [found.as_mapping() for _, _, found, _ in rows if found is not None],
+        "watch": [rendered(alarm.as_mapping()) for _, alarms, _, _ in rows for alarm in alarms],
+        "close_loop": [rendered(found.as_mapping()) for _, _, found, _ in rows if found is not None],
     }
 
 

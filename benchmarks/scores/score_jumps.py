@@ -10,7 +10,6 @@ each within 10 s of its onset.
 """
 
 import argparse
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -27,13 +26,12 @@ from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.repeated_samples import SENSORS
+from aerial_gym.sim2real.wording import text
 
 COLLECTIONS = ("idsia_nanodrone", "nanobench_cf21", "neural_fly", "neural_swarm")
 LOOK_S = LOOK_BLOCKS * BLOCK_S
 SOON_S = 10.0
 """After its onset a fault should be told by then [s]."""
-
-TOLD = re.compile(r"position jumps by \(([^)]*)\) m .* t = ([\d.]+)")
 
 
 def logs(data: Path) -> Iterator[FlightLog]:
@@ -50,10 +48,8 @@ def logs(data: Path) -> Iterator[FlightLog]:
 
 def told(log: FlightLog) -> list[tuple[np.ndarray, float]]:
     """Return size [m] and time [s] of each jump that is told of a log."""
-    found = [TOLD.search(note) for note in mend_position_jumps(replace(log, notes=())).notes]
-    return [
-        (np.array([float(part.split("±")[0]) for part in one[1].split(",")]), float(one[2])) for one in found if one
-    ]
+    notes = (note for note in mend_position_jumps(replace(log, notes=())).notes if note.code == "position_jump")
+    return [(np.array(note.values["size_m"]), note.values["start_s"]) for note in notes]
 
 
 def largest_share(log: FlightLog) -> float:
@@ -133,7 +129,7 @@ class Score:
 
 def score_stream(flights: list[FlightLog], sizes: list[float], rng: np.random.Generator) -> None:
     """Print what a watch tells, of logs as they are, with jumps, and with sensors that stand still."""
-    plain = [fault.sentence for log in flights for fault, _ in streamed(log)]
+    plain = [text(fault.finding) for log in flights for fault, _ in streamed(log)]
     print(f"told as logged: {len(plain)} {plain}")
     print(
         f"| put in | flights | found | told within {SOON_S:g} s | told after: median, largest [s] | error of the size: "

@@ -131,6 +131,8 @@ def score(name: str, data: Path) -> dict[str, object]:
     from aerial_gym.robots.catalog import robot_by_name
     from aerial_gym.sim2real.in_memory import judge_flights
     from aerial_gym.sim2real.logs.inputs import load_train_and_test
+    from aerial_gym.sim2real.report.verdict_json import verdict_json
+    from aerial_gym.sim2real.wording import rendered
 
     found = SETS[name]
     with tempfile.TemporaryDirectory() as folder, one_thread():
@@ -142,12 +144,12 @@ def score(name: str, data: Path) -> dict[str, object]:
             judged = judge_flights(robot, *flights, bandwidth=found.bandwidth)
         except Exception as error:  # one bad set must not end the others; it is counted
             return {"set": name, "error": f"{type(error).__name__}: {error}"}
-    verdict = judged.verdict.as_mapping()
+    verdict = verdict_json(judged.verdict)
     keys = ("verdict", "reason", "effects", "candidates", "inclusion", "before", "after", "test_flights", "structure")
     return {
         "set": name,
         **{key: verdict[key] for key in keys},
-        "refused": judged.selection.chosen.refused,
+        "refused": rendered(judged.selection.chosen.refused),
         "processor_s": round(time.process_time() - start, 1),
         "most_memory_gb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 2),
     }

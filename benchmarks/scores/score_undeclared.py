@@ -90,6 +90,7 @@ def score(job: Job) -> dict[str, object]:
     from aerial_gym.robots.catalog import robot_by_name
     from aerial_gym.sim2real.in_memory import judge_flights
     from aerial_gym.sim2real.logs.inputs import load_train_and_test
+    from aerial_gym.sim2real.report.verdict_json import verdict_json
 
     row: dict[str, object] = {**asdict(job), "hidden": "+".join(job.hidden) or "nothing", "effects": list(job.hidden)}
     with tempfile.TemporaryDirectory() as name:
@@ -109,7 +110,7 @@ def score(job: Job) -> dict[str, object]:
             robot = robot_by_name(files.robot)
             with one_thread():
                 flights = load_train_and_test(robot, files.train, files.test, None, BANDWIDTH_HZ)
-                verdict = judge_flights(robot, *flights, bandwidth=BANDWIDTH_HZ).verdict.as_mapping()
+                verdict = verdict_json(judge_flights(robot, *flights, bandwidth=BANDWIDTH_HZ).verdict)
         except Exception as error:  # one bad case must not end a run of hours; it is counted, and not kept
             return {**row, "error": f"{type(error).__name__}: {error}", "verdict": "error", "named": [], "right": False}
         truth = json.loads(files.truth.read_text())["effects"]

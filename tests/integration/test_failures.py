@@ -12,7 +12,7 @@ import pytest
 from aerial_gym.physics.model import check_effects
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real import close_loop
-from aerial_gym.sim2real.failures.finding import Failure, FailureFinder
+from aerial_gym.sim2real.failures.flight_event import Failure, FailureFinder
 from aerial_gym.sim2real.logs.flights import load_flights
 from benchmarks.undeclared import Failure as Hidden
 from benchmarks.undeclared import make_case
@@ -75,7 +75,8 @@ def test_the_loop_names_a_failure_of_one_flight_beside_an_effect_of_all(coarser_
     assert [effect["name"] for effect in verdict["effects"]] == ["com_offset"]
     assert [(one["flight"], one["name"]) for one in verdict["failures"]] == [("train_2", "motor_failure")]
     assert verdict["failures"][0]["params"] == pytest.approx({"motor": 3, "scale": 0.85, "time": 5.0}, abs=0.02)
-    assert "train_2: rotor 3 follows" in verdict["reason"]  # behind what got worse on test flights, if anything did
+    first = verdict["findings"][0]
+    assert (first["code"], first["subject"], first["values"]["rotor"]) == ("failure_found", "train_2", 3)
     assert "motor_failure" not in robot_by_name(tmp_path / "out" / "robot.yaml").effects
 
 

@@ -36,8 +36,10 @@ def test_neither_is_an_effect_of_the_vehicle(tmp_path: Path, effects: dict[str, 
     Rules that knew neither gave this seed a misaligned sensor and a tilted motor.
     """
     verdict = judged(tmp_path, effects, 3602, TRACKED)
-    assert "each flight has an offset of its own in specific_force" in verdict.reason
-    assert any("offset of its own" in note and "specific_force" in note for note in verdict.notes)
+    (point,) = (one for one in verdict.open_points if one.code == "offsets_of_flights")
+    assert any(channel.startswith("specific_force") for channel in point.values["channels"])
+    (note,) = (one for one in verdict.notes if one.code == "offsets_sizes")
+    assert any(row["channel"].startswith("specific_force") for row in note.values["offsets"])
 
 
 @pytest.mark.slow

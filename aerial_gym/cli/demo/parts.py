@@ -21,6 +21,7 @@ from aerial_gym.rl_training.settings import load_settings, settings_for
 from aerial_gym.rl_training.training import train
 from aerial_gym.sensors import SENSORS
 from aerial_gym.sim2real.close_loop import close_loop
+from aerial_gym.sim2real.report.verdict_json import verdict_json
 from aerial_gym.task import task_registry
 
 NUM_PICTURES = 4
@@ -166,7 +167,7 @@ def close_the_loop(flights: Flights, out: Path) -> dict[str, Any]:
             mapping=flights.mapping,
             progress=lambda stage, share: bar.update(task, description=stage, completed=share),
         )
-    found = verdict.as_mapping()
+    found = verdict_json(verdict)
     return {
         "story": flights.story,
         "verdict": found,

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.failures.finding import Finding
+from aerial_gym.sim2real.failures.flight_event import FlightEvent
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.position_jumps import HALF_S, Offset, PositionJump, integral, largest_jump
 from aerial_gym.sim2real.logs.recording import FlightLog, part_of
 from aerial_gym.sim2real.logs.repeated_samples import (
@@ -27,23 +28,25 @@ WINDOW_S = 20.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensorFault(Finding):
+class SensorFault(FlightEvent):
     """A jump of the position, or a sensor that gives nothing new."""
 
     sensor: str
     """Which, as in a ``FlightLog``."""
 
     @property
-    def sentence(self) -> str:
-        """Return it in words."""
+    def finding(self) -> Finding:
+        """Return the fault with its numbers."""
         if self.name == "sensor_dropout":
-            return f"{self.flight}: {self.sensor} repeats one value from {self.time:.3f} s on (sensor_dropout)"
-        size = ", ".join(f"{self.params[axis]:+.3g} ± {1.96 * self.std[axis]:.1g}" for axis in "xyz")
-        return f"{self.flight}: position jumps by ({size}) m (x, y, z) at {self.time:.3f} s (position_jump)"
+            return Finding("sensor_dropout", self.flight, {"sensor": self.sensor, "time_s": self.time})
+        size = {"size_m": [self.params[a] for a in "xyz"], "half_width_m": [1.96 * self.std[a] for a in "xyz"]}
+        return Finding(
+            "position_jump", self.flight, {**size, "start_s": self.time, "end_s": self.time, "moved_back": False}
+        )
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
-        return fields_of(self, "flight", "name", "sensor", "params", "std", "interval", "sentence")
+        return fields_of(self, "flight", "name", "sensor", "params", "std", "interval") | {"sentence": self.finding}
 
 
 class SensorWatch:

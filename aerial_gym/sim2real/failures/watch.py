@@ -15,9 +15,10 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.failures.finding import Failure, FailureFinder
+from aerial_gym.sim2real.failures.flight_event import Failure, FailureFinder
 from aerial_gym.sim2real.failures.rotor_work import BLOCK_S, RotorWork
 from aerial_gym.sim2real.failures.sensor_faults import WINDOW_S, SensorFault, SensorWatch
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.declared_rotors import lift
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight
 from aerial_gym.sim2real.logs.on_ground import IDLE
@@ -74,11 +75,6 @@ class Alarm:
     failure: Failure | SensorFault
     told_s: float
     """From the first row on [s]."""
-
-    @property
-    def sentence(self) -> str:
-        """Return it in words."""
-        return f"{self.stage} at {self.told_s:.2f} s: {self.failure.sentence}"
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
@@ -139,8 +135,8 @@ class Watch:
         self._suspected: Failure | None = None
         self._since = 0.0
         self._stateless = 0
-        self.last_bad = ""
-        """Why the last row was left out, in words."""
+        self.last_bad: Finding | None = None
+        """Why the last row was left out."""
         self.over = False
         """Whether something failed that goes on."""
         self.watched_s = 0.0
@@ -161,11 +157,11 @@ class Watch:
         norm = np.linalg.norm(state[: len(COLUMNS["attitude"])])
         if np.isnan(state).any() or abs(norm - 1.0) > NORM_OFF:
             self._stateless += 1
-            self.last_bad = "it has no attitude or no angular velocity"
+            self.last_bad = Finding("row_without_state")
             return []
         good, bad = self._stamps.add(values, self._place["t"]), self._stamps.bad
         if bad:
-            self.last_bad = f"t = {bad[-1]:g} s does not fit the rows around it"
+            self.last_bad = Finding("row_with_bad_stamp", "", {"stamp_s": bad[-1]})
         return [alarm for row in good for alarm in self._take(row)]
 
     def _take(self, values: Array) -> list[Alarm]:

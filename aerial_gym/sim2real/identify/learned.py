@@ -19,6 +19,7 @@ from aerial_gym.physics import build_model, vehicle_from_config
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.effects.learned_residual import network
 from aerial_gym.sim2real.arrays import Array, Flags
+from aerial_gym.sim2real.findings import Finding, refusal
 from aerial_gym.sim2real.identify.selection.scoring import Gain, LeftOut
 from aerial_gym.sim2real.predict.model_params import ModelParams, effects_at
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -55,8 +56,8 @@ class Learned:
     cfg: LearnedResidualCfg | None
     """For the robot file; None if it is not added."""
 
-    objections: tuple[str, ...]
-    """Why not; empty if it is added."""
+    objections: tuple[Finding, ...]
+    """Reasons why not; empty if it is added."""
 
     gain: Gain | None = None
     """Over the named effects on training flights left out."""
@@ -79,16 +80,13 @@ class Learned:
         return None if self.cfg is None else LearnedResidual(self.cfg)
 
     @property
-    def sentence(self) -> str:
-        """Return what happened, for people."""
+    def findings(self) -> tuple[Finding, ...]:
+        """Return whether it was added, and its shares or the objections."""
         if self.cfg is None:
-            return f"learned_residual was asked for and not added: {'; '.join(self.objections)}"
-        taken = ", ".join(f"{name} {share:.0%}" for name, share in self.gaps.items() if share is not None)
-        return (
-            f"learned_residual was added on request; it has no name and explains nothing. Of what the named effects leave "
-            f"above the noise floor on the test flights it takes: {taken or 'nothing is left above it'}. "
-            f"{self.rows_outside} of {self.rows} test rows lie outside its training data, where it fades"
-        )
+            return (refusal("learned_refused", LearnedResidual.name, self.objections),)
+        rows = {"rows": self.rows, "rows_outside": self.rows_outside}
+        shares = {"shares": {name: share for name, share in self.gaps.items() if share is not None}}
+        return Finding("learned_added", LearnedResidual.name, rows), Finding("learned_share", "", shares)
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON, as an effect without parameters."""
@@ -124,16 +122,16 @@ def train_residual(predictor: Predictor, params: ModelParams, left_out: LeftOut,
             "the robot file already has a learned_residual, and named effects come first. Take it out to learn it anew"
         )
     if any(flight.lin_vel is None for flight in predictor.flights):
-        return Learned(cfg=None, objections=("the flights have no velocity",))
+        return Learned(cfg=None, objections=(Finding("no_velocity"),))
     if not {channel.name for channel in predictor.channels} & set(OUTPUTS):
-        return Learned(cfg=None, objections=("the flights show neither force nor angular acceleration",))
+        return Learned(cfg=None, objections=(Finding("no_force"),))
     trainer = _Trainer(predictor, params, left_out, seed)
     decay, errors = trainer.best_decay()
     if not (errors < 1.0 - LEAST_SHARE).all():
         trainer.keep(errors < 1.0 - LEAST_SHARE)
         if not trainer.outputs:
             most = max(0.0, 1.0 - float(errors.min()))
-            return Learned(cfg=None, objections=(f"takes at most {most:.1%} of any mean square of flights left out",))
+            return Learned(cfg=None, objections=(Finding("share_small", "", {"share": most}),))
         decay, _ = trainer.best_decay()
     gain = trainer.gain(decay)
     if objections := left_out.objections(gain):

@@ -11,6 +11,7 @@ import numpy as np
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted, label_of
 from aerial_gym.sim2real.identify.least_squares.moments import flight_of_rows, time_groups
 from aerial_gym.sim2real.identify.selection.select import Rival, Selection
@@ -50,8 +51,8 @@ class WeighedRival:
     log_odds: float
     """Of the best set with it and without the named effect, over the most probable one."""
 
-    because: str
-    """Why it is not the one."""
+    because: Finding
+    """Reason why it is not the one."""
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
@@ -208,10 +209,8 @@ def weighed_rivals(name: str, selection: Selection, train: Predictor) -> tuple[W
     )
 
 
-def rejection(name: str, rival: Rival) -> str:
-    """Return why a rival is not the one in the place of a named effect."""
+def rejection(name: str, rival: Rival) -> Finding:
+    """Return the reason why a rival does not stand in the place of a named effect."""
     if rival.told_apart:
-        return f"less probable (log odds {rival.log_odds:.1f})"
-    if rival.wider:
-        return f"as probable, but it is a wider case of {name}"
-    return "not rejected: these flights cannot tell them apart"
+        return Finding("rival_less_probable", rival.effect, {"log_odds": rival.log_odds})
+    return Finding("rival_wider" if rival.wider else "rival_not_rejected", rival.effect, {"effect": name})

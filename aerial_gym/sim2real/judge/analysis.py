@@ -8,19 +8,21 @@ import numpy as np
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding, unit_key
 from aerial_gym.sim2real.identify.learned import judge_on_test, train_residual
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import FARTHEST_DEVIATION
 from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.identify.stages import Declared, Selected
 from aerial_gym.sim2real.judge.ablation import ablations
 from aerial_gym.sim2real.judge.breakdown import by_flight, where_it_acts
+from aerial_gym.sim2real.judge.decision import Decision, decide
 from aerial_gym.sim2real.judge.doubt import doubt_notes, with_doubt
 from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate
 from aerial_gym.sim2real.judge.experiments.design import fits_vehicle, what_to_fly
-from aerial_gym.sim2real.judge.outcome import Outcome, outcomes, said_first
+from aerial_gym.sim2real.judge.outcome import Outcome, outcomes
 from aerial_gym.sim2real.judge.random_wind.gusts import NAME, declared_wind, with_random
 from aerial_gym.sim2real.judge.unexplained import Unexplained, find_unexplained, judges_forces, rms_of
-from aerial_gym.sim2real.judge.verdict import NamedEffect, Verdict, decide, immaterial, named_effects
+from aerial_gym.sim2real.judge.verdict import NamedEffect, Verdict, immaterial, named_effects, tied_rivals
 from aerial_gym.sim2real.judge.whiteness import whiteness
 from aerial_gym.sim2real.logs.flights import Flight, notes_of, rigid_notes
 from aerial_gym.sim2real.predict.channels import UNITS
@@ -79,8 +81,10 @@ def judge(selected: Selected, *, seed: int, learn_residual: bool, progress: Prog
     else:
         params = replace(selected.params, learned=learned.effect)
         (after,) = evaluate(declared.robot, tested, [params], floor=unexplained.floor, seed=seed)
-    gusts = () if NAME in declared.robot.effects or not unexplained.wind.accepted else (unexplained.wind.named(),)
-    kind, reason, candidates = decision(selected, unexplained, gusts)
+    gusts = ()
+    if NAME not in declared.robot.effects and unexplained.wind.accepted:
+        gusts = (unexplained.wind.named(declared.stated),)
+    made = decision(selected, unexplained, gusts)
     became: tuple[Outcome, ...] = ()
     models, both, least = (declared.params, params), (before, after), selection.criteria.material
     if effects or gusts or (learned is not None and learned.cfg is not None):
@@ -88,10 +92,10 @@ def judge(selected: Selected, *, seed: int, learn_residual: bool, progress: Prog
     manoeuvre, fly_next = what_to_fly(declared, selection, unexplained.open_to)
     spectra = whiteness(tested.times, unexplained.left, declared.channels, declared.bandwidth)
     verdict = Verdict(
-        verdict=kind,
-        reason="; ".join(part for part in (said_first(became), reason) if part),
+        verdict=made.kind,
+        open_points=made.findings,
         effects=(*effects, *gusts),
-        candidates=candidates,
+        candidates=made.candidates,
         not_testable=not_testable(selection, declared.stated, unexplained),
         manoeuvre=manoeuvre,
         fly_next=fly_next,
@@ -152,36 +156,32 @@ def judged_effects(
     worth = ablations(declared.robot, test.flights, (declared.train, test), models, (before, named), selection)
     weight = selection.weights.weight
     regimes = {name: where_it_acts(test, *models, name, weight, floor, seed=seed) for name in selection.accepted}
-    return named_effects(selection, worth, regimes)
+    return named_effects(selection, worth, regimes, declared.stated)
 
 
-def decision(
-    selected: Selected, unexplained: Unexplained, gusts: Sequence[NamedEffect]
-) -> tuple[str, str, tuple[str, ...]]:
-    """Return verdict, reason and candidates."""
-    declared = selected.declared
-    known = unexplained.floor is not None
+def decision(selected: Selected, unexplained: Unexplained, gusts: Sequence[NamedEffect]) -> Decision:
+    """Return the decision of the verdict."""
+    declared, selection = selected.declared, selected.selection
     made = decide(
-        selected.selection,
+        {name: tied_rivals(name, selection) for name in selection.accepted},
         unexplained.channels,
-        known,
+        unexplained.floor is not None,
         open_to=unexplained.open_to,
         left_open=unexplained.left_open,
         of_flights=unexplained.of_flights,
     )
-    kind, reason, candidates = unexplained.wind.decision(made) if gusts else made
+    made = unexplained.wind.decision(made) if gusts else made
     if judges_forces(declared.flights) or all(channel.kind != "specific_force" for channel in declared.channels):
-        return kind, reason, candidates
-    blind = "without velocity drag is not known, so that what remains of the specific force is not judged: log v or p"
-    return kind, f"{reason}; {blind}", candidates
+        return made
+    return replace(made, findings=(*made.findings, Finding("forces_not_judged")))
 
 
 def notes(
     selected: Selected, unexplained: Unexplained, effects: Sequence[NamedEffect], named: Evaluation
-) -> tuple[str, ...]:
-    """Return what else a reader must know, what matters most first, and what was done to the logs.
+) -> tuple[Finding, ...]:
+    """Return the notes, the most important first; those on the logs come last.
 
-    ``named`` is what the named effects leave of the test flights.
+    ``named`` is the evaluation of the named effects on the test flights.
     """
     declared = selected.declared
     return (
@@ -190,7 +190,7 @@ def notes(
         *open_notes(unexplained),
         *unexplained.wind.notes,
         *immaterial(effects),
-        *(rival.sentence for effect in effects for rival in effect.in_part),
+        *(rival.finding for effect in effects for rival in effect.in_part),
         *strained_notes(selected, unexplained, named),
         *surrogate_notes(selected.selection),
         *own_notes(selected.selection),
@@ -198,8 +198,8 @@ def notes(
     )
 
 
-def strained_notes(selected: Selected, unexplained: Unexplained, named: Evaluation) -> list[str]:
-    """Return a note on each tolerance that is strained, and on what all deviations together change on the test flights."""
+def strained_notes(selected: Selected, unexplained: Unexplained, named: Evaluation) -> list[Finding]:
+    """Return a note on each strained tolerance, and one on the errors that all deviations together change."""
     declared = selected.declared
     found = declared.tolerances.strained(
         unexplained.deviation, absent=absent_tolerances(declared, selected.params), farthest=FARTHEST_DEVIATION
@@ -210,10 +210,11 @@ def strained_notes(selected: Selected, unexplained: Unexplained, named: Evaluati
     rms = rms_of(unexplained.left).tolist()
     for channel, value, bare in zip(declared.channels, rms, named.residual, strict=True):
         if abs(value - bare.value) > least * bare.value:
-            changed.append(f"{channel.words} {value:.2g} in place of {bare.value:.2g} {channel.unit}")
+            unit = unit_key(channel.unit)
+            changed.append({"channel": channel.name, f"with_{unit}": value, f"without_{unit}": bare.value})
     if not changed:
-        return [*found, "with what is declared off by that much hardly anything changes on the test flights"]
-    return [*found, f"with what is declared off by that much the test flights are left {', '.join(changed)}"]
+        return [*found, Finding("strained_changes_little")]
+    return [*found, Finding("strained_changes", "", {"errors": changed})]
 
 
 def absent_tolerances(declared: Declared, params: ModelParams) -> set[str]:
@@ -237,64 +238,54 @@ def implies_force(flight: Flight) -> bool:
     return flight.lin_vel is not None and not flight.attitude_integrated
 
 
-def own_notes(selection: Selection) -> list[str]:
-    """Return a note on what differs from flight to flight, and so belongs to no vehicle."""
-    own = [f"{one.channel} {one.size:.2g} {UNITS[one.channel.split('.')[0]]}" for one in selection.chosen.best.own]
-    if not own:
-        return []
-    return [
-        f"each flight has an offset of its own in {', '.join(own)} (rms): a sensor that warms up, a battery that is put in "
-        "anew; no vehicle has that, effects are fitted beside it, and test flights may have another one as large"
+def own_notes(selection: Selection) -> list[Finding]:
+    """Return a note on the offsets that differ from flight to flight, and so belong to no vehicle."""
+    offsets = [
+        {"channel": one.channel, f"rms_{unit_key(UNITS[one.channel.split('.')[0]])}": one.size}
+        for one in selection.chosen.best.own
     ]
+    return [Finding("offsets_sizes", "", {"offsets": offsets})] if offsets else []
 
 
-def about_logs(declared: Declared) -> list[str]:
-    """Return notes on the logs, and on what they are too slow or too few for."""
+def about_logs(declared: Declared) -> list[Finding]:
+    """Return the notes on the logs, their rate and their number."""
     flights, band = declared.flights, declared.bandwidth
     found = notes_of(flights)
     if band < declared.asked_bandwidth:
         slowest = min(flight.rate for flight in flights)
-        found.append(f"compared below {band:.3g} Hz: the slowest log has {slowest:.4g} rows per second")
+        found.append(Finding("band_limited", "", {"band_hz": band, "slowest_hz": slowest}))
     if (count := len(declared.train.flights)) < 3:
-        found.append(f"only {count} training flights: intervals rest on blocks of time, not on the spread of flights")
+        found.append(Finding("few_flights", "", {"flights": count}))
     return found
 
 
-def surrogate_notes(selection: Selection) -> list[str]:
+def surrogate_notes(selection: Selection) -> list[Finding]:
     """Return a note on each effect that lost its name to a structure."""
-    return [
-        f"{name} is not named: it only stands in for a part of what remains, whose structure ({kind}) no effect has"
-        for name, kind in selection.surrogates.items()
-    ]
+    return [Finding("stands_in", name, {"structure": kind}) for name, kind in selection.surrogates.items()]
 
 
-def open_notes(unexplained: Unexplained) -> list[str]:
-    """Return a note on the channels in which the test flights ask for more than the training flights can tell."""
-    if not unexplained.left_open:
-        return []
-    return [
-        f"not shown: more than noise remains in {', '.join(unexplained.left_open)} of the test flights, and no more than the "
-        "training flights leave open within the tolerances and named effects; train on flights that move as the test flights do"
-    ]
+def open_notes(unexplained: Unexplained) -> list[Finding]:
+    """Return a note on the channels that the training flights leave open."""
+    channels = list(unexplained.left_open)
+    return [Finding("left_open_note", "", {"channels": channels})] if channels else []
 
 
-def not_testable(selection: Selection, robot: RobotCfg, unexplained: Unexplained) -> dict[str, str]:
-    """Return what the flights cannot show: registered effects without excitation, and look-alikes without a model.
+def not_testable(selection: Selection, robot: RobotCfg, unexplained: Unexplained) -> dict[str, Finding]:
+    """Return the effects that the flights cannot show, with the reason; also look-alikes without a model.
 
     Nobody is told what to fly for soft arms of a vehicle that has none. Of one with joints no effect on links can be shown.
     """
     found = dict(selection.not_testable)
     if robot.joints is not None:
-        reason = "acts on links where they are, and the vehicle is taken as rigid in its reference pose here"
-        found |= {name: reason for name in EFFECTS if not EFFECTS.get(name).on_rigid}
+        found |= {name: Finding("acts_on_links", name) for name in EFFECTS if not EFFECTS.get(name).on_rigid}
     for name in found:
         if robot.joints is None and not fits_vehicle(name, selection, robot):
-            found[name] = "its file gives the vehicle no soft arms, and these flights show none"
+            found[name] = Finding("no_soft_arms", name)
     for name in selection.accepted:
         for other in EFFECTS.get(name).confused_with:
             if other not in EFFECTS:
-                found.setdefault(other, f"looks like {name}; there is no registered effect of this name to weigh it")
-    return found | ({NAME: unexplained.wind.untestable} if unexplained.wind.untestable else {})
+                found.setdefault(other, Finding("no_such_effect", other, {"alike": name}))
+    return found | ({NAME: wind} if (wind := unexplained.wind.untestable) is not None else {})
 
 
 def corrected_robot(declared: Declared, params: ModelParams, accepted: Sequence[str]) -> RobotCfg:

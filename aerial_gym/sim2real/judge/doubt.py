@@ -17,6 +17,7 @@ import numpy as np
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.parameters import is_number
@@ -35,11 +36,10 @@ def with_doubt(selection: Selection, test: Predictor) -> Selection:
     return replace(selection, doubt=dict(zip(rivals, np.maximum(gain, 0.0).tolist(), strict=True)))
 
 
-def doubt_notes(selection: Selection) -> list[str]:
-    """Return a note on each tie that is one by the test flights alone."""
+def doubt_notes(selection: Selection) -> list[Finding]:
+    """Return a note on each tie that only the test flights make."""
     return [
-        f"by the training flights alone it is {name} and not {rival.effect} (log odds {rival.log_odds - rival.doubt:.1f}), as "
-        f"its confidence says; the test flights, which no fit has seen, speak for {rival.effect}"
+        Finding("doubt_by_test", name, {"other": rival.effect, "log_odds": rival.log_odds - rival.doubt})
         for name in selection.accepted
         for rival in selection.ties_of(name)
         if rival.told_apart_by_training

@@ -7,6 +7,7 @@ import numpy as np
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.least_squares.moments import time_groups
 from aerial_gym.sim2real.logs.flights import Flight, names_of
 from aerial_gym.sim2real.predict.channels import Channel
@@ -89,16 +90,17 @@ def evaluate(
     ]
 
 
-def missing_for_rollouts(flights: Sequence[Flight]) -> str:
-    """Return what logs lack for a rollout, which begins at a measured velocity and attitude; empty if nothing."""
+def missing_for_rollouts(flights: Sequence[Flight]) -> Finding | None:
+    """Return the quantity that logs lack for rollouts, which start at a measured velocity and attitude; None: they have all."""
     blind = [flight for flight in flights if flight.lin_vel is None]
     if blind:
-        return f"{names_of(blind, flights)}: without velocity or position"
+        return Finding("rollouts_lack_velocity", names_of(blind, flights))
     turning = [flight for flight in flights if flight.attitude_integrated]
     if turning:
-        return f"{names_of(turning, flights)}: without attitude, which the gyro alone does not give"
+        return Finding("rollouts_lack_attitude", names_of(turning, flights))
     shortest = min(HORIZONS_S)
-    return "" if find_windows(flights, shortest).row.size else f"no flight is airborne for {shortest:g} s at a time"
+    found = find_windows(flights, shortest).row.size > 0
+    return None if found else Finding("rollouts_too_short", "", {"shortest_s": shortest})
 
 
 def rollout_rises(errors: RolloutErrors, reference: RolloutErrors) -> Iterator[tuple[str, float, Rise]]:

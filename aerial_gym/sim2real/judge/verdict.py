@@ -1,4 +1,4 @@
-"""The verdict: which effects the flights name, with what certainty, and what remains.
+"""The verdict: the named effects with their certainty, the outcomes on test flights, and the open points.
 
 The mapping for ``verdict.json`` is a contract (DESIGN.md, section 4).
 """
@@ -8,8 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.failures.finding import Failure
+from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.failures.flight_event import Failure
+from aerial_gym.sim2real.findings import Finding, unit_key
 from aerial_gym.sim2real.identify.candidates.structure import Structure
 from aerial_gym.sim2real.identify.learned import Learned
 from aerial_gym.sim2real.identify.least_squares.parameters import is_number, params_of, scales
@@ -19,8 +22,9 @@ from aerial_gym.sim2real.judge.ablation import Ablation
 from aerial_gym.sim2real.judge.breakdown import Part, Regime
 from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.judge.experiments.design import Advice
-from aerial_gym.sim2real.judge.outcome import NOT_SHOWN, Outcome, meaning, said_first
+from aerial_gym.sim2real.judge.outcome import Outcome
 from aerial_gym.sim2real.judge.whiteness import Whiteness
+from aerial_gym.sim2real.logs.declared_rotors import place_of_rotor
 from aerial_gym.sim2real.plain import fields_of, plain
 
 MOST_CONFIDENT = 0.9999
@@ -61,7 +65,27 @@ class NamedEffect:
     """Effects that would do equally well in the place of one of its parameters."""
 
     correlation: dict[str, dict[str, float]] = field(default_factory=dict)
-    """How a parameter is correlated with those that stand before it, by ``name.parameter``."""
+    """Correlation of a parameter with those before it, by ``name.parameter``."""
+
+    declared: dict[str, float] = field(default_factory=dict)
+    """Parameters in the declared robot file, or neutral ones."""
+
+    place: str = ""
+    """Place of its rotor on the vehicle, such as ``front left``."""
+
+    @property
+    def finding(self) -> Finding:
+        """Return the effect with its parameters, each with its declared value and the half width of its interval."""
+        values: dict[str, object] = {"place": self.place} if self.place else {}
+        for parameter in EFFECTS.get(self.name).parameters:
+            if parameter.name in self.params and parameter.name not in self.frozen:
+                std = self.std.get(parameter.name)
+                values[f"{parameter.name}_{unit_key(parameter.unit)}"] = {
+                    "value": self.params[parameter.name],
+                    "declared": self.declared.get(parameter.name),
+                    "half_width": None if std is None else 1.96 * std,
+                }
+        return Finding("effect_found", self.name, {**values, "probability": self.confidence, "ties": list(self.ties)})
 
     @property
     def interval(self) -> dict[str, tuple[float, float]]:
@@ -89,8 +113,8 @@ class Verdict:
     verdict: str
     """explained, none, not shown, unexplained or ambiguous."""
 
-    reason: str
-    """One sentence; what gets worse on the test flights comes first."""
+    open_points: tuple[Finding, ...]
+    """Residuals that remain and questions that stay open."""
 
     effects: tuple[NamedEffect, ...]
     """In the order in which they were named; a failure that every flight has comes last."""
@@ -98,8 +122,8 @@ class Verdict:
     candidates: tuple[str, ...]
     """These and what cannot be told from them."""
 
-    not_testable: dict[str, str]
-    """Effects that the flights cannot show, and why."""
+    not_testable: dict[str, Finding]
+    """Effects that the flights cannot show, with the reason."""
 
     manoeuvre: Advice | None
     """What tells tied candidates apart; None if there are none."""
@@ -139,68 +163,55 @@ class Verdict:
     """What failed in flights, training flights first; these are compared up to it."""
 
     joints: tuple[dict[str, object], ...] = ()
-    """Passive joints with their numbers, where they were looked for; those that differ from what is declared say in what."""
+    """Passive joints with their numbers, where they were looked for, and the numbers that differ from the declared ones."""
 
-    notes: tuple[str, ...] = field(default=())
-    """What was done to the logs, and other things to know."""
+    joint_findings: tuple[Finding, ...] = ()
+    """Joints that differ from the declared ones."""
+
+    notes: tuple[Finding, ...] = ()
+    """Further results, and changes that were made to the logs."""
 
     @property
     def corrects(self) -> bool:
         """Whether the corrected robot is another one than the declared."""
         return bool(self.effects) or (self.learned is not None and self.learned.cfg is not None)
 
-    @property
-    def differing_joints(self) -> list[str]:
-        """Names of joints that differ from what is declared; the corrected robot has them, residuals know a rigid one."""
-        return [str(joint["name"]) for joint in self.joints if joint["changed"]]
-
-    def told_before(self, told: str) -> str:
-        """Return the reason with what is told before it, but behind what gets worse on the test flights."""
-        worse = said_first(self.outcomes)
-        rest = self.reason.removeprefix(worse).removeprefix("; ")
-        return "; ".join(part for part in (worse, f"{told}{rest}") if part)
-
-    @property
-    def meaning(self) -> str:
-        """What it tells its reader."""
-        beside = (self.failures or self.differing_joints) and not self.effects
-        kind, nothing = self.verdict, NOT_SHOWN if self.not_shown else "none"
-        kind = nothing if beside and kind == "explained" else kind
-        told = meaning(kind, self.outcomes, {effect.name: effect.ties for effect in self.effects})
-        if self.not_shown and kind != NOT_SHOWN:
-            told += f" What more the test flights hold in {', '.join(self.not_shown)} the training flights leave open."
-        if self.differing_joints:
-            told += " This is said of the vehicle as a rigid one; the springs of its joints were fitted by themselves."
-        names = ", ".join(failure.flight for failure in self.failures)
-        return f"{told} This is said of {names} up to what failed there." if names else told
-
     def as_mapping(self) -> dict[str, object]:
-        """Return the contract for JSON."""
+        """Return the verdict for JSON, but for its findings (``report.verdict_json`` adds them)."""
         learned = [self.learned] if self.learned is not None and self.learned.cfg is not None else []
         return {
-            **fields_of(self, "verdict", "reason", "meaning"),
             "test_flights": {found.name: plain(found) for found in self.outcomes},
             "effects": plain([*self.effects, *learned]),
             **fields_of(self, "failures", "joints", "candidates"),
             "not_testable": list(self.not_testable),
-            "not_testable_because": self.not_testable,
             **fields_of(self, "manoeuvre", "fly_next"),
             "inclusion": {name: share for name, share in self.inclusion.items() if share >= LEAST_SHOWN},
             **fields_of(self, "structure", "whiteness", "unexplained", "not_shown"),
-            "learned_residual": None if self.learned is None else self.learned.sentence,
             "before": self.before.as_mapping(),
             "after": self.after.as_mapping(before=self.before),
             "flights": {
                 name: {part.became.name: plain(part) for part in parts} for name, parts in self.flights.items()
             },
-            "notes": list(self.notes),
         }
 
 
+def declared_params_of(name: str, robot: RobotCfg) -> dict[str, float]:
+    """Return the parameters of an effect in a robot file; neutral ones where it holds none."""
+    effect, stated = EFFECTS.get(name), robot.effects.get(name, {})
+    neutral = zip(effect.parameters, effect.neutral(robot), strict=True)
+    return {parameter.name: float(stated.get(parameter.name, value)) for parameter, value in neutral}
+
+
+def rotor_place(name: str, params: Array, robot: RobotCfg) -> str:
+    """Return the place of the rotor that an effect acts on, such as ``front left``; empty if it acts on no single one."""
+    kinds = [parameter.kind for parameter in EFFECTS.get(name).parameters]
+    return place_of_rotor(robot, round(float(params[kinds.index("rotor")]))) if "rotor" in kinds else ""
+
+
 def named_effects(
-    selection: Selection, ablations: dict[str, Ablation], regimes: dict[str, Regime]
+    selection: Selection, ablations: dict[str, Ablation], regimes: dict[str, Regime], robot: RobotCfg
 ) -> tuple[NamedEffect, ...]:
-    """Return the accepted effects with parameters, spread and confidence, and with what was found out about them after."""
+    """Return the accepted effects of a declared robot with parameters, intervals, confidence, ablation and regime."""
     fit, spread, inclusion = selection.final.fit, selection.final.spread, selection.chosen.inclusion
     values, scale = params_of(fit.params, fit.effects), scales(fit.effects)
     std = dict(zip(fit.free_effects.tolist(), spread.std, strict=True))
@@ -228,86 +239,28 @@ def named_effects(
                     for key in own
                     if f"{name}.{key}" in numbers and (i := numbers.index(f"{name}.{key}")) > 0
                 },
+                declared=declared_params_of(name, robot),
+                place=rotor_place(name, fit.params.effects[name], robot),
             )
         )
     return tuple(found)
 
 
-def immaterial(effects: Sequence[NamedEffect]) -> list[str]:
-    """Return a note for each effect whose absence is hardly seen on the test flights, or not for certain."""
+def immaterial(effects: Sequence[NamedEffect]) -> list[Finding]:
+    """Return a note for each effect whose absence hardly changes the test flights, or not for certain."""
     notes = []
     for effect in effects:
-        if (worth := effect.ablation) is None or worth.material:
+        if (ablation := effect.ablation) is None or ablation.material:
             continue
-        channel, rise = worth.most
-        most = f"{channel} rises most, by {rise.value:.1%} [{rise.low:+.1%}, {rise.high:+.1%}]"
-        if worth.material is None:
-            notes.append(f"whether {effect.name} is material is not shown by the test flights: without it {most}")
+        channel, rise = ablation.most
+        values = {"channel": channel, "rise": rise.value, "rise_low": rise.low, "rise_high": rise.high}
+        if ablation.material is None:
+            notes.append(Finding("materiality_open", effect.name, values))
         else:
-            notes.append(
-                f"{effect.name} is immaterial: without it no residual and no rollout error of the test flights rises by "
-                f"{worth.least:.0%}, by its interval ({most}); it may be left out of the robot file"
-            )
+            notes.append(Finding("effect_immaterial", effect.name, {**values, "least": ablation.least}))
     return notes
 
 
 def tied_rivals(name: str, selection: Selection) -> list[str]:
     """Return the registered effects that cannot be told from an accepted one."""
     return [rival.effect for rival in selection.ties_of(name)]
-
-
-def decide(
-    selection: Selection,
-    unexplained: Sequence[str],
-    floor_known: bool,
-    *,
-    open_to: Sequence[str] = (),
-    left_open: Sequence[str] = (),
-    of_flights: Sequence[str] = (),
-) -> tuple[str, str, tuple[str, ...]]:
-    """Return verdict, reason and candidates.
-
-    Args:
-        selection: What the training flights ask for.
-        unexplained: Channels of the test flights in which more remains than is allowed.
-        floor_known: Whether the logs show a noise floor.
-        open_to: Effects that would make what remains, and that training flights do not show.
-        left_open: Channels in which more than noise remains, and no more than training flights leave open.
-        of_flights: Channels in which an offset of each flight's own remains.
-    """
-    tied = {name: tied_rivals(name, selection) for name in selection.accepted}
-    candidates = list(selection.accepted)
-    for name in selection.accepted:
-        candidates += tied[name]
-    names = ", ".join(selection.accepted)
-    unique = tuple(dict.fromkeys(candidates))
-    if any(tied.values()):
-        doubts = [f"{name} cannot be told from {' or '.join(rivals)}" for name, rivals in tied.items() if rivals]
-        rest = f"; more than noise and tolerances remains in {', '.join(unexplained)}" if unexplained else ""
-        return "ambiguous", f"{'; '.join(doubts)}{rest}", unique
-    if unexplained and open_to:
-        start = f"{names} found, but more" if names else "more"
-        rest = f"{start} than noise and tolerances remains in {', '.join(unexplained)} of the test flights"
-        would = f"{' or '.join(open_to)} would make it, which the training flights do not show"
-        return "ambiguous", f"{rest}; {would}", tuple(dict.fromkeys((*unique, *open_to)))
-    if unexplained:
-        start = f"{names} found, but" if names else "no registered effect explains it:"
-        return "unexplained", f"{start} more than noise and tolerances remains in {', '.join(unexplained)}", unique
-    if not selection.accepted and not floor_known:
-        start = "no registered effect explains more of the flights than the declared model, but the logs are too slow or short"
-        return "none", f"{start} to show a noise floor: whether more than noise remains cannot be told", unique
-    own = f"; each flight has an offset of its own in {', '.join(of_flights)}" if of_flights else ""
-    if not selection.accepted:
-        if left_open:
-            rest = f"what remains in {', '.join(left_open)} is no more than the training flights leave open"
-            return NOT_SHOWN, f"the flights show no registered effect{own}; {rest}", unique
-        return "none", f"the declared model explains the flights within noise and tolerances{own}", unique
-    if left_open:
-        rest = f"what remains in {', '.join(left_open)} is no more than they leave open: fly more to know it better"
-    elif of_flights:
-        rest = "what else remains is near the noise floor"
-    elif floor_known:
-        rest = "what remains is near the noise floor"
-    else:
-        rest = "the logs are too slow or short to show a noise floor"
-    return "explained", f"the flights show {names}{own}; {rest}", unique

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import FlightLog, part_of
 from aerial_gym.sim2real.logs.signals import edge_rows, interpolated, lagged, lowpass
 
@@ -215,7 +216,6 @@ def shift_rotor_log(log: FlightLog, offset: ClockOffset, *, commands: bool = Tru
         if values is not None:
             moved[name] = interpolated(rows[kept] - offset.rows, rows, values)
     step = 1e3 * float(np.median(np.diff(log.time)))
-    other = "" if commands else "; commands do not and stay"
-    ahead = f"{offset.rows * step:.3g} ± {1.96 * offset.std * step:.2g} ms"
-    note = f"rotor log leads the other sensors by {ahead} and was moved back{other}"
+    lead = {"lead_ms": offset.rows * step, "half_width_ms": 1.96 * offset.std * step, "with_commands": commands}
+    note = Finding("rotor_log_moved", "", lead)
     return replace(part_of(log, kept), **moved, notes=(*log.notes, note))

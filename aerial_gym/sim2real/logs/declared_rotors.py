@@ -32,6 +32,26 @@ def lift(robot: RobotCfg, speed: Array) -> Array:
     return np.linalg.norm(thrusts(robot, speed) @ (axes / np.linalg.norm(axes, axis=1, keepdims=True)), axis=1)
 
 
+def place_of_rotor(robot: RobotCfg, number: int) -> str:
+    """Return the place of a rotor (from 1) as a pilot names it, such as ``front left``; empty if two rotors share it."""
+    hubs = np.array([mount.position for mount in robot.mounts.layout])[:, :2]
+    arms = hubs - hubs.mean(axis=0)
+    places = [_side(arm, float(np.linalg.norm(arms, axis=1).max())) for arm in arms]
+    if not 0 < number <= len(places) or places.count(places[number - 1]) > 1:
+        return ""
+    return places[number - 1]
+
+
+SIDES = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
+"""Eight sectors about body z, from ahead to the left."""
+
+
+def _side(arm: Array, longest: float) -> str:
+    if np.linalg.norm(arm) < 0.1 * longest:
+        return "centre"
+    return SIDES[round(float(np.arctan2(arm[1], arm[0])) / (0.25 * np.pi)) % len(SIDES)]
+
+
 def mean_lag(robot: RobotCfg) -> float:
     """Return the mean of the declared time constants up and down [s]."""
     return 0.5 * sum(declared_lag(robot))

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.checks.conventions import body_rate_of, check_log, check_time, without_bad_quaternions
 from aerial_gym.sim2real.logs.checks.copies import SeenLogs
 from aerial_gym.sim2real.logs.checks.rotor_law import check_rotor_law
@@ -85,15 +86,18 @@ def had_by_all(parts: Sequence[Mapping[str, Had]]) -> dict[str, list[Had]]:
     return {name: [part[name] for part in parts] for name in parts[0] if all(name in part for part in parts)}
 
 
-def notes_of(flights: Sequence[Flight]) -> list[str]:
-    """Return what was done to the logs, each note once with the names of its flights."""
-    told = dict.fromkeys(note for flight in flights for note in flight.notes)
-    return [f"{names_of([flight for flight in flights if note in flight.notes], flights)}: {note}" for note in told]
+def notes_of(flights: Sequence[Flight]) -> list[Finding]:
+    """Return the notes on the logs, each once; its subject names its flights."""
+    notes = dict.fromkeys(note for flight in flights for note in flight.notes)
+    return [
+        replace(note, subject=names_of([flight for flight in flights if note in flight.notes], flights))
+        for note in notes
+    ]
 
 
-def rigid_notes(robot: RobotCfg) -> list[str]:
-    """Return a note where flights of a vehicle that bends are compared with one that does not."""
-    return [] if robot.joints is None else [robot.joints.rigid_note("what bends in the flights shows as a residual")]
+def rigid_notes(robot: RobotCfg) -> list[Finding]:
+    """Return a note if a vehicle with joints is compared as a rigid one."""
+    return [] if robot.joints is None else [Finding("joints_held", "", {"joints": list(robot.joints.names)})]
 
 
 def load_flights(
@@ -113,7 +117,7 @@ def load_flights(
     Raises:
         DataError: If a file cannot be used and no list is given, a copy of another one among them, or is given twice.
     """
-    read: dict[Path, tuple[FlightLog, list[str]]] = {}
+    read: dict[Path, tuple[FlightLog, list[Finding]]] = {}
     seen = SeenLogs()
     for real, path in distinct_files(paths).items():
         with _left_out(refused):
@@ -183,7 +187,7 @@ def with_velocity(log: FlightLog) -> FlightLog:
         return log
     rate = rate_of(log)
     velocity = lowpass(log.position, rate, DERIVED_BAND * rate, derivative=True)
-    return replace(log, lin_vel=velocity, notes=(*log.notes, "velocity derived from position"))
+    return replace(log, lin_vel=velocity, notes=(*log.notes, Finding("velocity_derived")))
 
 
 def match_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog:
@@ -208,11 +212,11 @@ def match_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog:
     scale = float(
         2.0 * weight / (linear + np.sqrt(max(linear**2 + 4.0 * square * weight, 0.0)))
     )  # also for c2 = 0: force mode
-    note = f"commands scaled by {scale:.4f} to the thrust measured above {log.hover_above:g} m"
+    note = Finding("commands_scaled", "", {"factor": scale, "height_m": log.hover_above})
     return replace(log, rotor_command=scale * log.rotor_command, notes=(*log.notes, note))
 
 
-def complete_flight(log: FlightLog, notes: Sequence[str] = (), *, on_ground: Flags | None = None) -> Flight:
+def complete_flight(log: FlightLog, notes: Sequence[Finding] = (), *, on_ground: Flags | None = None) -> Flight:
     """Return the flight with specific force and angular velocity derived where the log lacks them.
 
     ``on_ground``: rows in which the vehicle stands, (T,).
@@ -221,20 +225,20 @@ def complete_flight(log: FlightLog, notes: Sequence[str] = (), *, on_ground: Fla
     band = DERIVED_BAND * rate
     specific_force, ang_vel = log.specific_force, log.ang_vel
     if log.lin_vel is None:
-        said.append("neither velocity nor position: drag is predicted as if the vehicle stood still")
+        said.append(Finding("velocity_unknown"))
     elif specific_force is None:
         acceleration = lowpass(log.lin_vel, rate, band, derivative=True) + AT_REST
         specific_force = Rotation.from_quat(log.attitude).apply(acceleration, inverse=True)
-        said.append("specific force derived from velocity")
+        said.append(Finding("force_derived"))
     if ang_vel is None:
         ang_vel = body_rate_of(log.attitude, rate, band)
-        said.append("angular velocity derived from attitude; angular acceleration is not compared")
+        said.append(Finding("rates_derived"))
     if log.collective:
-        said.append("one command for all rotors: angular acceleration is not compared")
+        said.append(Finding("one_command"))
     if not log.torques:
-        said.append("the mapping says that these logs do not show torques: angular acceleration is not compared")
+        said.append(Finding("torques_not_logged"))
     if on_ground is not None:
-        said.append(f"stands on the ground in {on_ground.mean():.0%} of the rows; they are not compared")
+        said.append(Finding("on_ground", "", {"share": float(on_ground.mean())}))
     shared = {field.name: getattr(log, field.name) for field in fields(Recording)}
     completed = {"time": log.time - log.time[0], "specific_force": specific_force, "notes": tuple(said)}
     return Flight(

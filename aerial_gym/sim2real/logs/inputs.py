@@ -7,22 +7,20 @@ from pathlib import Path
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flights import Flight, distinct_files, load_flights
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
-
-LEFT_OUT = "left out: "
-"""How a note on a flight that cannot be used begins."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """Flights that can be used, and a sentence for each that cannot."""
+    """Flights that can be used, and a note for each that cannot."""
 
     train: list[Flight]
     test: list[Flight]
 
-    left_out: tuple[str, ...]
-    """Notes that begin with ``LEFT_OUT``."""
+    left_out: tuple[Finding, ...]
+    """One note for each log that cannot be used."""
 
     digests: dict[str, str]
     """SHA-256 of each file by its path, those left out included."""
@@ -55,7 +53,7 @@ def read_inputs(
         if not left:
             others = f" (none of {len(given)} flights to {role} on is left; the first refusal of {len(refused)})"
             raise DataError(f"{refused[0]}{others if len(refused) > 1 else ''}") from None
-    notes = tuple(f"{LEFT_OUT}{error}" for error in refused)
+    notes = tuple(Finding("flight_left_out", "", {"error": str(error)}) for error in refused)
     return Inputs(train=found[0], test=found[1], left_out=notes, digests=digests)
 
 
@@ -76,7 +74,7 @@ def load_train_and_test(
     layout = None if mapping is None else find_mapping(mapping)
     inputs = read_inputs(robot, train, test, mapping=layout, bandwidth=bandwidth)
     if inputs.left_out:
-        raise DataError(inputs.left_out[0])
+        raise DataError(f"left out: {inputs.left_out[0].values['error']}")
     return inputs.train, inputs.test
 
 

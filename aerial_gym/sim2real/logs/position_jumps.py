@@ -17,6 +17,7 @@ import numpy as np
 from scipy import ndimage
 
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.statistics import FALSE_ALARM_HOURS, student_quantile
 
@@ -86,12 +87,11 @@ class PositionJump:
         first, last = min(self.first, other.first), max(self.last, other.last)
         return PositionJump(first=first, last=last, size=self.size + other.size, std=np.maximum(self.std, other.std))
 
-    def sentence(self, time: Array) -> str:
-        """Return it in words, for a log with rows at these times [s]."""
-        size = ", ".join(f"{value:+.3g} ± {1.96 * std:.1g}" for value, std in zip(self.size, self.std, strict=True))
-        start, end = time[self.first], time[self.last]
-        when = f"at t = {start:.3f} s" if self.first == self.last else f"from t = {start:.3f} to {end:.3f} s"
-        return f"position jumps by ({size}) m (x, y, z) {when}, which no velocity makes (position_jump); moved back from there"
+    def finding(self, time: Array) -> Finding:
+        """Return the note on it, for a log with rows at these times [s]."""
+        size = {"size_m": self.size.tolist(), "half_width_m": (1.96 * self.std).tolist()}
+        when = {"start_s": float(time[self.first]), "end_s": float(time[self.last])}
+        return Finding("position_jump", "", {**size, **when, "moved_back": True})
 
 
 def mend_position_jumps(log: FlightLog) -> FlightLog:
@@ -104,10 +104,9 @@ def mend_position_jumps(log: FlightLog) -> FlightLog:
         found.append(jump)
         offset = offset.and_then(jump)
         if len(found) > MOST:
-            note = f"position jumps more than {MOST} times where the velocity says otherwise (position_jump); left as logged"
-            return replace(log, notes=(*log.notes, note))
+            return replace(log, notes=(*log.notes, Finding("position_jumps_left", "", {"most": MOST})))
         position = np.concatenate((position[: jump.first], position[jump.first :] - jump.size))
-    notes = [jump.sentence(log.time) for jump in joined(found, round(HALF_S / step))]
+    notes = [jump.finding(log.time) for jump in joined(found, round(HALF_S / step))]
     return replace(log, position=position, notes=(*log.notes, *notes)) if found else log
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
+from aerial_gym.sim2real.findings import Finding
 
 AT_REST = np.array((0.0, 0.0, STANDARD_GRAVITY))
 """What an accelerometer at rest reads, along world axes [m/s²], (3,)."""
@@ -69,8 +70,8 @@ class Recording:
     wind: tuple[float, float, float] | None = None
     """Steady wind that was known to whoever flew [m/s], world; None: still air as far as is known."""
 
-    notes: tuple[str, ...] = ()
-    """What was done to the log, for the report."""
+    notes: tuple[Finding, ...] = ()
+    """What was done to the log, for the report; no subject: it is the log."""
 
 
 @dataclass(frozen=True, kw_only=True)

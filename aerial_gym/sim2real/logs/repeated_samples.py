@@ -10,6 +10,7 @@ import numpy as np
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
 from aerial_gym.sim2real.logs.signals import interpolated, signs_of
 
@@ -104,7 +105,7 @@ def mend_repeated_samples(log: FlightLog) -> FlightLog:
         if repeats.share > 0.0:
             changes[name] = interpolated(log.time, log.time[repeats.fresh], values[repeats.fresh])
         if repeats.share > LEAST_SHARE:
-            notes.append(_sentence(log, name, repeats))
+            notes.append(_note(log, name, repeats))
     return replace(log, **changes, notes=(*log.notes, *notes))
 
 
@@ -152,11 +153,9 @@ def _longest_frozen(log: FlightLog, name: str, repeats: RepeatedSamples) -> Froz
     return FrozenSensor(name=name, row=int(repeats.fresh[worst]), seconds=float(frozen[worst]))
 
 
-def _sentence(log: FlightLog, name: str, repeats: RepeatedSamples) -> str:
+def _note(log: FlightLog, name: str, repeats: RepeatedSamples) -> Finding:
     if repeats.usual > 1.0:
         rate = rate_of(log)
-        said = f"comes only {rate / repeats.usual:.3g} times per second (the log has {rate:.4g} rows)"
-    else:
-        longest = int(np.diff(repeats.fresh, append=repeats.num_rows).max()) - 1
-        said = f"repeats its value in {repeats.share:.1%} of the rows, at most {longest} in a row: late packets"
-    return f"{name} {said}; straight lines between measured values"
+        return Finding("samples_slow", "", {"sensor": name, "rate_hz": rate / repeats.usual, "log_rate_hz": rate})
+    longest = int(np.diff(repeats.fresh, append=repeats.num_rows).max()) - 1
+    return Finding("samples_repeated", "", {"sensor": name, "share": repeats.share, "longest_rows": longest})

@@ -13,6 +13,7 @@ from scipy import fft
 from aerial_gym.errors import DataError
 from aerial_gym.math.decay import decaying_sum
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import FlightLog, arrays_of, gap_limit, part_of
 
 FILTER_ORDER = 4
@@ -190,7 +191,8 @@ def uniform_log(log: FlightLog) -> FlightLog:
         moved["rotor_command"] = log.rotor_command[np.clip(np.searchsorted(log.time, time, "right") - 1, 0, None)]
     if log.battery is not None:
         moved["battery"] = np.interp(time, log.time, log.battery)
-    note = f"unequal time steps ({steps.min():.3g} to {steps.max():.3g} s) resampled to {step:.3g} s"
+    span = {"shortest_s": float(steps.min()), "longest_s": float(steps.max()), "step_s": step}
+    note = Finding("steps_resampled", "", span)
     return replace(log, **moved, time=time, lines=None, notes=(*log.notes, note))
 
 
@@ -204,5 +206,6 @@ def _without_loose_ends(log: FlightLog) -> FlightLog:
     if len(sizes) == 1 or sizes[longest] < (1.0 - LOOSE_END) * log.time.size:
         return log
     part = slice(edges[longest], edges[longest + 1])
-    note = f"{log.time.size - sizes[longest]} rows beyond a gap of {steps.max():.3g} s at the end or start were cut off"
+    cut = {"rows": int(log.time.size - sizes[longest]), "gap_s": float(steps.max())}
+    note = Finding("rows_cut", "", cut)
     return replace(part_of(log, part), notes=(*log.notes, note))

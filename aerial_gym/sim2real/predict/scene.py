@@ -15,6 +15,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import WindEffect
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flights import Flight, names_of
 
 NEEDED = {
@@ -22,8 +23,9 @@ NEEDED = {
     "lin_vel": "velocity or position (a load swings as its vehicle moves, and air acts by the speed through it)",
     "ceiling_height": "the height of the ceiling (column ceiling_z; a high one where there is none)",
     "other_position": "the position of the other vehicle (columns other_p_x, other_p_y, other_p_z, or its own log)",
+    "battery": "battery voltage; log it in volts (column vbat)",
 }
-"""What an effect may need of a flight, and how it gets there."""
+"""Quantities that an effect may need of a flight, with the columns that give them."""
 
 
 class Heights(TypedDict):
@@ -33,34 +35,36 @@ class Heights(TypedDict):
     ceiling_height: Tensor | None
 
 
-def lacks_of_scene(name: str, flights: Sequence[Flight]) -> str:
-    """Return what of its scene the flights lack for an effect; empty if nothing."""
-    return _without(EFFECTS.get(name).needs, flights)
+def lacks_of_scene(name: str, flights: Sequence[Flight]) -> Finding | None:
+    """Return the part of its scene that the flights lack for an effect; None if they have all."""
+    return _without(name, EFFECTS.get(name).needs, flights)
 
 
-def lacks_of_air(name: str, flights: Sequence[Flight]) -> str:
-    """Return why the flights do not tell what the air does; empty if they do, or if the effect is none of the air.
+def lacks_of_air(name: str, flights: Sequence[Flight]) -> Finding | None:
+    """Return the quantity that the flights lack to show an effect of the air; None if they have it, or for other effects.
 
     A declared effect acts all the same, on the speed of the hubs as the vehicle turns. To look for one by that alone would
     call air what is anything else.
     """
     effect = EFFECTS.get(name)
-    return _without(("lin_vel",) if isinstance(effect, WindEffect) or "velocity" in effect.follows else (), flights)
+    airborne = isinstance(effect, WindEffect) or "velocity" in effect.follows
+    return _without(name, ("lin_vel",) if airborne else (), flights)
 
 
-def _without(needs: Sequence[str], flights: Sequence[Flight]) -> str:
+def _without(name: str, needs: Sequence[str], flights: Sequence[Flight]) -> Finding | None:
     for need in needs:
         without = [flight for flight in flights if getattr(flight, need) is None]
         if without:
-            return f"{names_of(without, flights)}: without {NEEDED[need]}"
-    return ""
+            return Finding("logs_lack", name, {"flights": names_of(without, flights), "need": need})
+    return None
 
 
 def check_scene(names: Sequence[str], flights: Sequence[Flight]) -> None:
     """Raise ``DataError`` if the flights lack something that a declared effect needs."""
     for name in names:
         if reason := lacks_of_scene(name, flights):
-            raise DataError(f"the robot file declares {name}, but the flights do not tell it: {reason}")
+            where, need = reason.values["flights"], NEEDED[str(reason.values["need"])]
+            raise DataError(f"the robot file declares {name}, but the flights do not tell it: {where}: without {need}")
 
 
 def heights(flights: Sequence[Flight], rows: Sequence[int]) -> Heights:

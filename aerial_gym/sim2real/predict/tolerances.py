@@ -18,6 +18,7 @@ from aerial_gym.config.robot import require_positive
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.physics import Vehicle
 from aerial_gym.sim2real.arrays import Array, Flags
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.clock_offset import LATE_S
 
 LAYOUT: dict[str, str | tuple[str, ...]] = {
@@ -101,8 +102,8 @@ class Tolerances:
         parts = [(name, part) for name, of in LAYOUT.items() for part in _parts_of(of, num_rotors)]
         return tuple(f"{name}_{part}" if part else name for name, part in parts)
 
-    def strained(self, deviation: Array, *, absent: Collection[str] = (), farthest: float = np.inf) -> list[str]:
-        """Return a note for each of the (N,) deviations, in standard deviations, that a careful declaration would not have.
+    def strained(self, deviation: Array, *, absent: Collection[str] = (), farthest: float = np.inf) -> list[Finding]:
+        """Return the deviations, of (N,) in standard deviations, that a careful declaration would not have.
 
         Args:
             deviation: In standard deviations.
@@ -114,35 +115,11 @@ class Tolerances:
             (n, s) for n, s in zip(names, deviation.tolist(), strict=True) if abs(s) > STRAINED and n not in absent
         ]
         notes = [
-            f"beside the named effects the flights ask for {name} to be off by {size:+.1f} standard deviations of its "
-            f"tolerance: {self._way_out(name)}"
-            for name, size in pairs
-            if abs(size) < farthest
+            Finding("tolerance_strained", name, {"deviation_std": size}) for name, size in pairs if abs(size) < farthest
         ]
         if cut := [name for name, size in pairs if abs(size) >= farthest]:
-            notes.append(
-                f"{', '.join(cut)}: cut off at {farthest:g} standard deviations of the tolerance, and so no measurement: "
-                "something else is missing, or noise of the inputs looks like it"
-            )
+            notes.append(Finding("tolerances_cut_off", "", {"tolerances": cut, "deviation_std": farthest}))
         return notes
-
-    def _way_out(self, name: str) -> str:
-        known = "give the tolerance that it has (--tolerances)"
-        if name.startswith(("acc_bias", "gyro_bias")):
-            return f"calibrate it, or {known}"
-        if name.startswith("sensor_delay"):
-            return f"put what is logged on one clock, or {known}"
-        if name.startswith("acc_scale"):
-            return f"calibrate it, or {known}"
-        if name.startswith("imu_place"):
-            return f"say what it reads at the origin of the body, or {known}"
-        if name.startswith("attitude"):
-            return f"align the logged attitude with the body, or {known}"
-        if name.startswith("rotor_motion"):
-            return "the noise of the logged rotor speeds hides how much they moved; log commands, or fly more"
-        if name.startswith("answered_noise"):
-            return "torque and noise of the gyro go together, or something else is missing; fly more than hover"
-        return known if name in ("command_hold", "joint_rest") else f"declare it anew, or {known}"
 
 
 def deviate(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehicle:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from aerial_gym.sim2real.judge.analysis import Judged
+from aerial_gym.sim2real.judge.answer import answer, meaning
 from aerial_gym.sim2real.judge.evaluation import missing_for_rollouts
 from aerial_gym.sim2real.judge.whiteness import octave_names
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -29,6 +30,7 @@ from aerial_gym.sim2real.report.tables import (
     rollout_rows,
     unnamed_rows,
 )
+from aerial_gym.sim2real.wording import answer_texts, joined, text
 
 SHOWN_RIVALS = 3
 """The others are folded away."""
@@ -65,6 +67,7 @@ def render(name: str, context: dict[str, object]) -> str:
         keep_trailing_newline=True,
     )
     environment.filters |= {"num": number, "interval": interval, "percent": percent, "risen": risen}
+    environment.filters |= {"text": text, "joined": joined}
     return environment.get_template(f"{name}.j2").render(context)
 
 
@@ -74,6 +77,8 @@ def report_context(judged: Judged, told: Mapping[str, list[Clue]], found: Sequen
     after = verdict.after if verdict.corrects else None
     return {
         "verdict": verdict,
+        "answer": answer_texts(answer(verdict).parts),
+        "meaning": joined(meaning(verdict)),
         "robot": judged.declared.stated,
         "bandwidth": judged.declared.bandwidth,
         "train": [flight.name for flight in judged.declared.train.flights],
@@ -88,9 +93,10 @@ def report_context(judged: Judged, told: Mapping[str, list[Clue]], found: Sequen
         "shown_notes": SHOWN_NOTES,
         "became": became_rows(verdict),
         "named": named_rows(verdict),
-        "reasons": reason_rows(verdict.not_testable),
+        "reasons": reason_rows({name: text(reason) for name, reason in verdict.not_testable.items()}),
         "unshowable": [name for name, advice in verdict.fly_next.items() if advice.fly is None],
         "no_rollouts": missing_for_rollouts(judged.declared.test.flights),
+        "notes": [text(note) for note in verdict.notes],
         "rollouts": [
             {"title": text, "driven_by": verdict.before.rollouts[name].driven_by, "rows": rollout_rows(verdict, name)}
             for name, text in VARIANTS.items()

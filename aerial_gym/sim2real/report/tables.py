@@ -5,6 +5,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.evaluation import Evaluation
@@ -12,6 +13,8 @@ from aerial_gym.sim2real.judge.outcome import BETTER, NOT_SHOWN, SAME, WORSE, Ou
 from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
 from aerial_gym.sim2real.statistics import Rise, Rms
+from aerial_gym.sim2real.wording import text
+from aerial_gym.sim2real.wording.words import error_words
 
 SHOWN_NOTES = 5
 """Of the notes, those that matter most; the others are folded away."""
@@ -50,7 +53,7 @@ def channel_rows(
     before: Evaluation, after: Evaluation | None, became: Sequence[Outcome] = (), *, intervals: bool = True
 ) -> list[dict[str, object]]:
     """Return one row per channel; ``became`` says what became of each."""
-    text = interval if intervals else value_alone
+    shown = interval if intervals else value_alone
     rows, states = [], {found.name: found for found in became}
     closed = [None] * len(before.channels) if after is None else after.gaps_closed(before)
     for place, channel in enumerate(before.channels):
@@ -60,8 +63,8 @@ def channel_rows(
         rows.append(
             {
                 "name": f"{channel.kind.replace('_', ' ')} {channel.axis} [{channel.unit}]",
-                "before": text(first),
-                "after": "–" if second is None else text(second),
+                "before": shown(first),
+                "after": "–" if second is None else shown(second),
                 "change": "–" if found is None else risen(found.rise),
                 "became": "–" if found is None else found.state,
                 "closed": percent(closed[place]),
@@ -77,8 +80,8 @@ def became_rows(verdict: Verdict) -> dict[str, str]:
     for state in (WORSE, BETTER, SAME, NOT_SHOWN):
         kinds: dict[str, list[str]] = {}
         for one in verdict.outcomes:
-            if one.state == state and not one.where:
-                kind, _, axis = one.about.rpartition(" ")
+            if one.state == state and one.horizon is None:
+                kind, _, axis = one.quantity.replace("_", " ").rpartition(".")
                 kinds.setdefault(kind, []).append(axis if state == SAME else f"{axis} ({one.rise.value:+.0%})")
         if kinds:
             found[state] = "; ".join(f"{kind} {', '.join(axes)}" for kind, axes in kinds.items())
@@ -118,7 +121,7 @@ def reason_rows(reasons: Mapping[str, str]) -> dict[str, list[str]]:
 
 def rollout_rows(verdict: Verdict, variant: str, *, intervals: bool = True) -> list[dict[str, str]]:
     """Return one row per quantity and horizon."""
-    text = interval if intervals else value_alone
+    shown = interval if intervals else value_alone
     before, after = verdict.before.rollout[variant], verdict.after.rollout[variant]
     states = {found.name: found for found in verdict.outcomes}
     rows = []
@@ -129,8 +132,8 @@ def rollout_rows(verdict: Verdict, variant: str, *, intervals: bool = True) -> l
                 {
                     "quantity": f"{quantity} [{QUANTITIES[quantity]}]",
                     "horizon": f"{horizon:g}",
-                    "before": text(rms),
-                    "after": text(after[quantity][horizon]),
+                    "before": shown(rms),
+                    "after": shown(after[quantity][horizon]),
                     "change": "–" if found is None else risen(found.rise),
                     "became": "–" if found is None else found.state,
                 }
@@ -142,14 +145,11 @@ def unnamed_rows(selection: Selection) -> list[dict[str, str]]:
     """Return one row per effect that is not named: what speaks for it, and why it is not; the most probable first."""
     chosen, reasons = selection.chosen, dict(selection.not_testable)
     for name, odds in chosen.adds.items():
-        reasons.setdefault(
-            name, "promised where it is linear, not held when fitted" if odds > 0.0 else "less probable than not"
-        )
+        reasons.setdefault(name, Finding("only_linear" if odds > 0.0 else "less_probable", name))
     for name, rises in chosen.immaterial.items():
-        most = max(rise.high for rise in rises.values())
-        reasons[name] = f"a trifle: no residual of the training flights rises by more than {most:.1%} without it"
+        reasons[name] = Finding("trifle", name, {"rise": max(rise.high for rise in rises.values())})
     for name, kind in chosen.surrogates.items():
-        reasons[name] = f"only stands in for what remains, which follows {kind}"
+        reasons[name] = Finding("follows_structure", name, {"structure": kind})
     reasons |= chosen.refused
     shown = {name: reason for name, reason in reasons.items() if name not in selection.accepted}
     order = sorted(shown, key=lambda name: (name in selection.not_testable, -chosen.adds.get(name, np.inf)))
@@ -158,7 +158,7 @@ def unnamed_rows(selection: Selection) -> list[dict[str, str]]:
             "effect": name,
             "log_odds": f"{chosen.adds[name]:.1f}" if name in chosen.adds else "–",
             "probability": f"{chosen.inclusion[name]:.2g}" if name in chosen.inclusion else "–",
-            "because": shown[name],
+            "because": text(shown[name]),
         }
         for name in order
     ]
@@ -182,10 +182,10 @@ def flight_table(verdict: Verdict, kinds: Collection[str]) -> dict[str, list]:
         for part in parts:
             found = part.became
             if found.state == WORSE:
-                worse.append(f"{found.text} on {name}")
-            if not found.where and found.name.split(".")[0] not in kinds:
+                worse.append(f"{_label(found)} {risen(found.rise)} on {name}")
+            if found.horizon is None and found.name.split(".")[0] not in kinds:
                 continue
-            row = rows.setdefault(found.name, {"quantity": f"{found.about}{found.where} [{part.unit}]", "cells": {}})
+            row = rows.setdefault(found.name, {"quantity": f"{_label(found)} [{part.unit}]", "cells": {}})
             cells = row["cells"]
             assert isinstance(cells, dict)
             cells[name] = {
@@ -196,6 +196,12 @@ def flight_table(verdict: Verdict, kinds: Collection[str]) -> dict[str, list]:
                 "change": risen(found.rise),
             }
     return {"names": list(verdict.flights), "rows": list(rows.values()), "worse": worse}
+
+
+def _label(outcome: Outcome) -> str:
+    """Return the name of an error in a table: a channel with its axis, or a quantity of a rollout."""
+    channel = outcome.horizon is None
+    return outcome.quantity.replace("_", " ").replace(".", " ") if channel else error_words(outcome.name)
 
 
 def number(value: float, digits: int = 3) -> str:

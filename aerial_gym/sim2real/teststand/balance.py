@@ -16,6 +16,7 @@ from scipy import special, stats
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.plain import fields_of
 from aerial_gym.sim2real.teststand.causes import OTHER, ROTORS, Cause, causes, priors, tell_apart
@@ -135,8 +136,8 @@ class Balance:
     candidates: tuple[str, ...]
     """What remains possible."""
 
-    tell_apart: tuple[str, ...]
-    """What would tell the candidates apart."""
+    tell_apart: tuple[Finding, ...]
+    """Experiments that tell the candidates apart."""
 
     fits: tuple[CauseFit, ...]
     """Empty where the scatter between logs is not known well enough for a test."""
@@ -156,7 +157,7 @@ class Balance:
     scatter: Array
     """Standard deviation of the effort of each rotor between logs of one condition, relative, (R,)."""
 
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
@@ -239,13 +240,10 @@ def judge_balance(
         scatter=scatter.std,
         notes=(
             *_notes(baseline, flights, test, scatter, added_mass),
-            *(NOT_REPEATED for fit in fits[-1:] if not _repeated(fit)),
-            *(f"{OTHER.name}: probability {fit.probability:.2g}" for fit in fits[-1:] if candidates),
+            *(Finding("flights_differ") for fit in fits[-1:] if not _repeated(fit)),
+            *(Finding("other_cause", "", {"probability": fit.probability}) for fit in fits[-1:] if candidates),
         ),
     )
-
-
-NOT_REPEATED = "the flights differ from the logs that they are judged on by more than scatter"
 
 
 def _repeated(other: CauseFit) -> bool:
@@ -362,24 +360,16 @@ def _notes(
     test: Sequence[HoverEffort],
     scatter: Scatter,
     added_mass: float | None,
-) -> list[str]:
-    found = [
-        "thrust is taken as proportional to squared speed (or voltage), and the baseline as balanced about the declared centre "
-        "of mass: its uneven shares are put down to uneven motors",
-    ]
+) -> list[Finding]:
+    found = [Finding("balance_assumptions")]
     if added_mass is not None:
-        found.append(f"all candidates carry {added_mass:g} kg more than the baseline")
+        found.append(Finding("mass_added", "", {"added_kg": added_mass}))
     if scatter.freedom < ROTORS:
-        found.append(
-            f"the scatter between logs is known from {scatter.freedom} repeats, a test of {ROTORS} rotors needs at least "
-            f"{ROTORS}: nothing is excluded; give more logs in --baseline or --repeats"
-        )
+        found.append(Finding("scatter_unknown", "", {"repeats": scatter.freedom, "needed": ROTORS}))
     if not test and len(flights) < 2:
-        found.append("one flight and no --test: nothing is judged on a log that the fit has not seen")
+        found.append(Finding("no_unseen_log"))
     volts = [[h.voltage for h in hovers if h.voltage is not None] for hovers in (baseline, [*flights, *test])]
     if volts[0] and volts[1]:
-        (low, high), (least, most) = ((min(v), max(v)) for v in volts)
-        found.append(
-            f"battery: baseline {low:.2f} to {high:.2f} V, flights {least:.2f} to {most:.2f} V; the sum depends on it"
-        )
+        baseline_v, flights_v = ([min(part), max(part)] for part in volts)
+        found.append(Finding("battery_range", "", {"baseline_v": baseline_v, "flights_v": flights_v}))
     return found

@@ -13,6 +13,7 @@ import numpy as np
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
 
 ROTORS = 4
 """With more, the mixer shares out the thrust, and not the balance."""
@@ -165,18 +166,17 @@ def _weak(layout: Layout, rotor: int) -> list[Cause]:
     ]
 
 
-def tell_apart(candidates: Sequence[str]) -> list[str]:
-    """Return what would tell candidates apart, one sentence each."""
+def tell_apart(candidates: Sequence[str]) -> list[Finding]:
+    """Return the experiments that tell candidates apart."""
     if len(candidates) < 2:
         return []
     weak = [name for name in candidates if name.startswith("weak_motor")]
     payload = [name for name in candidates if name.startswith("payload_mass")]
     found = []
     if payload and len(payload) < len(candidates):
-        found.append("the mass: weigh the vehicle and give --added-mass-kg, for only a payload adds any")
-        found.append("the total thrust at a known voltage, on a bench: a weak propeller loses some, a payload none")
+        found += [Finding("weigh_vehicle"), Finding("measure_thrust")]
     if weak and len(weak) < len(candidates):
-        found.append("rotations with a gyro: a weight adds to the inertia, a weak propeller turns its arm more slowly")
+        found.append(Finding("turn_with_gyro"))
     if weak:
-        found.append("another propeller on that motor: what a weak propeller does goes with it")
+        found.append(Finding("swap_propeller"))
     return found

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.plain import plain
 from aerial_gym.sim2real.statistics import Rms
@@ -77,7 +78,7 @@ class HoverFit:
     force: Array = field(repr=False)
     """Thrust over mass [m/s²], (W,)."""
 
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
@@ -188,9 +189,9 @@ def fit_hover(
         try:
             parts.append(hover_windows(log))
         except DataError as error:
-            missed.append(f"left out: {error}")
+            missed.append(error)
     if not parts:
-        raise DataError(missed[0].removeprefix("left out: ") if missed else "needs at least one flight that hovers")
+        raise missed[0] if missed else DataError("needs at least one flight that hovers")
     sizes = [part.force.size for part in parts]
     group = parts_of(sizes)
     moments, force = np.concatenate([p.moments for p in parts]), np.concatenate([p.force for p in parts])
@@ -209,12 +210,10 @@ def fit_hover(
             "declared, scaled": _model("declared, scaled", declared, moments, force, mass, group),
             **models,
         }
-    notes = [*missed]
-    notes += [
-        f"{p.name}: no accelerometer, thrust taken as m g over the cosine of the tilt" for p in parts if p.from_gravity
-    ]
+    notes = [Finding("flight_left_out", "", {"error": str(error)}) for error in missed]
+    notes += [Finding("thrust_from_gravity", p.name) for p in parts if p.from_gravity]
     if mass_std == 0.0:
-        notes.append("the mass is taken as exact: its relative error is that of c_t; give --mass-std-kg")
+        notes.append(Finding("mass_exact"))
     return HoverFit(
         mass=mass,
         thrust_coefficient=coefficient,

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING
 
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import RobotCfg, RotorCfg
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.inputs import file_digests
 from aerial_gym.sim2real.plain import write_json
 from aerial_gym.sim2real.report.run_folder import check_out_dir, whole_folder, write_record
+from aerial_gym.sim2real.wording import rendered, text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,7 +39,7 @@ class Study:
     figures: "dict[str, Figure]" = field(default_factory=dict)
     """By file name without ending."""
 
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
     files: dict[str, str] = field(default_factory=dict)
     """Further files: text by name."""
 
@@ -49,7 +51,13 @@ class Study:
             lines += ["| " + " | ".join(row) + " |" for row in table.rows] + [""]
         for name in self.figures:
             lines += [f"![{name.replace('_', ' ')}]({name}.png)", ""]
-        lines += ["## Notes", "", *(f"- {note}" for note in self.notes or ("none",)), ""]
+        lines += [
+            "## Notes",
+            "",
+            *(f"- {note}" for note in map(text, self.notes)),
+            *(["- none"] if not self.notes else []),
+            "",
+        ]
         return "\n".join(lines)
 
 
@@ -60,7 +68,7 @@ def write_study(out_dir: Path, study: Study, config: dict[str, object], inputs: 
         for name, figure in study.figures.items():
             figure.savefig(folder / f"{name}.png", dpi=90, bbox_inches="tight")
         (folder / "report.md").write_text(study.markdown(), encoding="utf-8", errors="surrogateescape")
-        write_json(folder / "result.json", study.mapping)
+        write_json(folder / "result.json", rendered(study.mapping))
         for name, text in study.files.items():
             (folder / name).write_text(text, encoding="utf-8", errors="surrogateescape")
         write_record(folder, config, file_digests(inputs))

@@ -9,6 +9,7 @@ import numpy as np
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.plain import fields_of, plain
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.statistics import (
@@ -124,7 +125,7 @@ class StaticFit:
     torque_ratio: Estimate | None
     """Torque per thrust [m]."""
 
-    notes: tuple[str, ...]
+    notes: tuple[Finding, ...]
 
     reverse: "StaticFit | None" = None
     """Of the rows in which the rotor turns backwards, with speed, thrust and torque of the other sign."""
@@ -147,8 +148,8 @@ class StaticFit:
         return {"name": self.name, "rows": self.speed.size, **found, "notes": list(self.notes)}
 
 
-def fit_static(bench: Bench, *, num_motors: int = 1) -> tuple[list[StaticFit], list[str]]:
-    """Return the maps of one file, and why some of its tests have none; a column ``test`` splits it into several tests.
+def fit_static(bench: Bench, *, num_motors: int = 1) -> tuple[list[StaticFit], list[Finding]]:
+    """Return the maps of one file, and the tests without one; a column ``test`` splits it into several tests.
 
     Negative speeds are those of a reversible rotor that turns backwards, with thrust and torque of the other sign: they have
     maps of their own, and all pass through 0 with the speed.
@@ -175,9 +176,9 @@ def fit_static(bench: Bench, *, num_motors: int = 1) -> tuple[list[StaticFit], l
         try:
             fits.append(_fit_both_ways(f"{bench.path}, test {test}", part))
         except DataError as error:
-            left_out.append(str(error))
+            left_out.append(Finding("test_left_out", test, {"error": str(error)}))
     if not fits:
-        raise DataError(left_out[0])
+        raise DataError(str(left_out[0].values["error"]))
     return fits, left_out
 
 
@@ -195,7 +196,7 @@ def _fit_test(name: str, measured: dict[str, Array], *, through_zero: bool = Fal
     speed, thrust = measured["speed"], measured["thrust"]
     check_rotor_numbers(name, speed, thrust, measured.get("torque"))
     dead = (speed == 0.0) & (thrust > STALLED * thrust.max())
-    notes = (f"{dead.sum()} rows with thrust at speed 0 left out: the speed sensor did not read",) if dead.any() else ()
+    notes = (Finding("rows_without_speed", name, {"rows": int(dead.sum())}),) if dead.any() else ()
     kept = {quantity: values[~dead] for quantity, values in measured.items()}
     speed, thrust, torque = kept["speed"], kept["thrust"], kept.get("torque")
     if np.unique(speed).size < FEWEST_ROWS:

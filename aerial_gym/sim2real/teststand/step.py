@@ -11,6 +11,7 @@ import numpy as np
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Indices
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.plain import fields_of, plain
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.statistics import Estimate, fit_curve, held_out_error, left_out, parsimonious, rms
@@ -107,7 +108,7 @@ class StepFit:
     in_robot: str
     """The best candidate that a robot file can hold."""
 
-    notes: tuple[str, ...]
+    notes: tuple[Finding, ...]
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
@@ -184,17 +185,14 @@ def fit_steps(records: Sequence[StepRecord]) -> StepFit:
     names = list(LAWS)
     if min(ways.count("up"), ways.count("down")) < 2:
         names = ["one time constant"]
-        notes.append(
-            f"{ways.count('up')} rising and {ways.count('down')} falling steps: two of each are needed to tell the time "
-            "constants apart and to test them"
-        )
+        notes.append(Finding("few_steps", "", {"rising": ways.count("up"), "falling": ways.count("down")}))
     laws = {name: _fit_law(name, records) for name in names}
     errors = {name: law.held_out_rms for name, law in laws.items()}
     terms = {name: len(params) for name, params in LAWS.items()}
     tau = min(p.value for law in laws.values() for n, p in law.params.items() if n.startswith("tau"))
     sample = float(np.median(np.concatenate([np.diff(record.time) for record in records])))
     if tau < 1.5 * sample:
-        notes.append(f"rows are {sample:.3g} s apart: time constants near that are uncertain beyond their intervals")
+        notes.append(Finding("rows_far_apart", "", {"step_s": sample}))
     return StepFit(
         records=tuple(records),
         laws=laws,

@@ -7,6 +7,7 @@ import numpy as np
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.sim2real.findings import Finding, unit_key
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 from aerial_gym.sim2real.statistics import Rms
@@ -62,10 +63,13 @@ def study_motor(benches: Sequence[Bench], *, num_motors: int = 1, robot: RobotCf
             )
     lag = fit_steps(steps) if steps else None
     tables = [*static_tables(static), *([] if lag is None else step_tables(lag))]
-    notes = [*left_out, *(f"{fit.name}: {note}" for fit in static for note in fit.notes)]
+    notes = [*left_out, *(note for fit in static for note in fit.notes)]
     notes += [] if lag is None else lag.notes
     notes += [note for fit in static[:MOST_TESTS_SHOWN] for note in curvature_notes(fit)]
-    mapping: dict[str, object] = {"static": [fit.as_mapping() for fit in static], "left_out": left_out}
+    mapping: dict[str, object] = {
+        "static": [fit.as_mapping() for fit in static],
+        "left_out": [note.values["error"] for note in left_out],
+    }
     if lag is not None:
         mapping["steps"] = lag.as_mapping()
     if len(static) > 1:
@@ -178,18 +182,17 @@ def _choice_table(quantity: str, choice: Choice) -> Table:
     return Table(title=f"{quantity} map", head=head, rows=tuple(rows))
 
 
-def curvature_notes(fit: StaticFit) -> list[str]:
-    """Return what the residual says beyond the map of a robot file."""
+def curvature_notes(fit: StaticFit) -> list[Finding]:
+    """Return a note on each residual that keeps a curvature beyond the map of a robot file."""
     found = []
     for quantity, choice in (("thrust", fit.thrust_map), ("torque", fit.torque_map)):
         if choice is None:
             continue
         cubic, best = choice.candidates["w³, w² and w"], choice.best
         if cubic.held_out_rms < 0.8 * best.held_out_rms:
-            found.append(
-                f"{Path(fit.name).name}: the {quantity} residual keeps a curvature that a cubic takes away (held-out "
-                f"{cubic.held_out_rms:.3g} against {best.held_out_rms:.3g} {choice.unit}); a robot file holds no cubic"
-            )
+            key = unit_key(choice.unit)
+            errors = {f"cubic_{key}": cubic.held_out_rms, f"chosen_{key}": best.held_out_rms}
+            found.append(Finding("curvature_kept", Path(fit.name).name, {"quantity": quantity, **errors}))
     return found
 
 
@@ -249,8 +252,8 @@ def study_joint(bench: Bench, *, release: float = 0.0) -> Study:
         ),
         figures=figures.joint_figures(study),
         notes=(
-            f"published: {PUBLISHED}, released at 0",
-            "one record of one joint: the intervals are those of this record, not of other joints or loads",
+            Finding("published_law", "", PUBLISHED),
+            Finding("one_record"),
         ),
         files={"joint.yaml": f"{law_text}\n  source: 'aerial-gym identify joint: {Path(bench.path).name}'\n"},
     )
@@ -335,7 +338,7 @@ def study_balance(
         f"scatter between logs of one condition, known from {found.freedom} repeats.",
         mapping=found.as_mapping(),
         tables=tuple(_balance_tables(found)),
-        notes=(*found.notes, *(f"to tell the candidates apart: {text}" for text in found.tell_apart)),
+        notes=(*found.notes, *found.tell_apart),
     )
 
 

@@ -7,6 +7,7 @@ from typing import Any, cast
 import numpy as np
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted, Fitter
 from aerial_gym.sim2real.identify.evidence.guard import Support
@@ -92,7 +93,9 @@ def chosen_of(best: Fitted, *others: Fitted, named: Fitted | None = None, **foun
     )
 
 
-def selection_of(chosen: Chosen, final: Scored | None = None, not_testable: dict[str, str] | None = None) -> Selection:
+def selection_of(
+    chosen: Chosen, final: Scored | None = None, not_testable: dict[str, Finding] | None = None
+) -> Selection:
     """Return the selection with a choice."""
     scored = final or cast("Scored", SimpleNamespace(effects=chosen.effects))
     return Selection(

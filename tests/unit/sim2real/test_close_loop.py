@@ -25,12 +25,15 @@ from aerial_gym.interop import one_thread
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real import close_loop, replay
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.in_memory import judge_flights
 from aerial_gym.sim2real.judge.analysis import Judged
+from aerial_gym.sim2real.judge.answer import findings_of
 from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT
-from aerial_gym.sim2real.logs.inputs import LEFT_OUT, load_train_and_test
+from aerial_gym.sim2real.logs.inputs import load_train_and_test
 from aerial_gym.sim2real.report.run_folder import whole_folder
+from aerial_gym.sim2real.wording import text
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 DRAG = 0.25
@@ -99,7 +102,8 @@ def test_the_verdict_names_the_hidden_drag(result: Path) -> None:
     untold |= {"ground_effect", "ceiling_effect", "downwash"}
     # Creep is left open: thrusts that hardly change show the compliance of slow arms to just its scale, 0.996 of it.
     assert set(verdict["not_testable"]) - {"joint_creep"} == untold
-    assert "column ceiling_z" in verdict["not_testable_because"]["ceiling_effect"]
+    found = {(one["code"], one["subject"]): one["values"] for one in verdict["findings"]}
+    assert found["logs_lack", "ceiling_effect"]["need"] == "ceiling_height"
     assert verdict["structure"]["kind"] == "none"
     assert verdict["whiteness"]["specific_force.x"]["white"] is True
     assert effect["without_it"]["octaves"][0] > 0.9  # a path of a few tenths of a hertz
@@ -116,8 +120,13 @@ def test_the_verdict_names_the_hidden_drag(result: Path) -> None:
     assert became["specific_force.x"]["state"] == became["specific_force.y"]["state"] == "better"
     assert became["free.velocity.1"]["rises"] < -0.5  # two groups of windows: no more than the size is shown
     assert became["specific_force.x"]["interval"][1] < -0.5
-    assert "helps in specific force x" in verdict["meaning"]
-    assert "worse" not in verdict["reason"]
+    (gain,) = (values["errors"] for (code, _), values in found.items() if code == "errors_fall")
+    assert {row["quantity"] for row in gain} == {"specific_force.x", "specific_force.y"}
+    for row in gain:
+        assert row["before_m_s2"] == before["specific_force"][row["quantity"][-1]]["rms"]
+        assert row["after_m_s2"] == after["specific_force"][row["quantity"][-1]]["rms"]
+    assert not {code for code, _ in found} & {"error_rises", "keep_declared_where"}
+    assert ("load_robot_file", "") in found
     error = [model["rollout_given_attitude"]["1"]["velocity"]["rms"] for model in (before, after)]
     assert error[1] < 0.5 * error[0]
 
@@ -134,7 +143,7 @@ def test_the_verdict_says_what_the_effect_is_worth(result: Path) -> None:
     assert rival["name"] in EFFECTS
     assert rival["name"] != "rotor_drag"
     assert rival["log_odds"] < -LEAST_SCORE
-    assert rival["because"] == f"less probable (log odds {rival['log_odds']:.1f})"
+    assert f"log odds {rival['log_odds']:.1f}" in rival["because"]
     assert 0.0 <= rival["explains"] < rival["instead_of"] < 1.0
     acts = effect["where_it_acts"]
     kind, axis = acts["channel"].split(".")
@@ -244,15 +253,16 @@ def test_the_command_prints(run: tuple[Path, str]) -> None:
     record = json.loads((out / "run.json").read_text())
     assert (record["config"]["tolerances"]["mass"], record["config"]["tolerances"]["com"]) == (0.002, 0.0003)
     assert "rotor_drag: dx = 0.2" in printed
-    assert "The correction helps in specific force x" in " ".join(printed.split())
+    verdict = json.loads((out / "verdict.json").read_text())
+    assert f"verdict: explained {verdict['reason']}" in " ".join(printed.split())
 
 
 def test_a_flight_that_cannot_be_used_is_said_to_be_left_out(run: tuple[Path, str]) -> None:
     out, printed = run
-    notes = json.loads((out / "verdict.json").read_text())["notes"]
-    assert notes[0].startswith(LEFT_OUT)
-    assert "f9.csv: ang_vel 2 is 0 in every row" in notes[0]
-    assert "ang_vel 2 is 0 in every row" in " ".join(printed.split()).partition("The corrected")[0]  # wrapped by rich
+    findings = json.loads((out / "verdict.json").read_text())["findings"]
+    (note,) = (one for one in findings if one["code"] == "flight_left_out")
+    assert "f9.csv: ang_vel 2 is 0 in every row" in note["values"]["error"]
+    assert "ang_vel 2 is 0 in every row" in " ".join(printed.split()).partition("rotor_drag: dx")[0]  # wrapped by rich
     assert "ang_vel 2 is 0 in every row" in (out / "report.html").read_text()
 
 
@@ -320,7 +330,7 @@ def test_a_replay_rolls_nothing_out_that_the_log_does_not_begin(folder: Path, tm
     blind = write(whole.drop(columns=[c for c in whole if c.startswith(("p_", "v_"))]), tmp_path / "blind.csv")
     replay(folder / "robot.yaml", [blind], tmp_path / "out")
     page = (tmp_path / "out" / "report.html").read_text()
-    assert "None: blind: without velocity or position." in page
+    assert text(Finding("rollouts_lack_velocity", "blind")) in page
     assert "<th>variant</th>" not in page
 
 
@@ -392,7 +402,8 @@ def test_forces_at_an_unknown_airspeed_are_not_called_unexplained(tmp_path: Path
         verdict = judge_flights(robot, *flights).verdict
     assert verdict.verdict == "none"
     assert verdict.unexplained == ()
-    assert "what remains of the specific force is not judged: log v or p" in verdict.reason
+    codes = [finding.code for finding in findings_of(verdict)]
+    assert {"forces_not_judged", "log_velocity"} <= set(codes)
 
 
 @pytest.mark.slow
@@ -410,10 +421,10 @@ def test_a_vehicle_that_bends_is_said_to_be_taken_as_rigid_and_gets_no_effect_th
     robot, *flights = (str(tmp_path / name) for name in ("robot.yaml", "f0.csv", "f1.csv", "f2.csv"))
     asked = ["--effects", "joint_spring", "rotor_drag", "--out", str(tmp_path / "out")]
     assert main(["close-loop", "--robot", robot, "--train", *flights[:2], "--test", flights[2], *asked]) == 0
-    said = "its joints (arm) are held in the reference pose here, and the vehicle taken as rigid"
+    said = text(Finding("joints_held", "", {"joints": ["arm"]}))
     assert f"note: {said}" in " ".join(capsys.readouterr().out.split())
     verdict = json.loads((tmp_path / "out" / "verdict.json").read_text())
-    assert verdict["notes"][0].startswith(said)
+    assert verdict["notes"][0] == said
     assert said in (tmp_path / "out" / "report.html").read_text()
     assert "this one has joints" in verdict["not_testable_because"]["joint_spring"]
     check_effects(load(RobotCfg, tmp_path / "out" / "robot.yaml"))

@@ -8,21 +8,20 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.physics.model import check_joints, check_rotors
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.replay.rotor_commands import missing_in_logs, too_coarse, too_steady
 from aerial_gym.sim2real.predict.scene import lacks_of_air, lacks_of_scene
 
 
-def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Flight] = ()) -> str:
-    """Return what robot file or logs lack for an effect; empty if nothing."""
+def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Flight] = ()) -> Finding | None:
+    """Return the reason why robot file or logs cannot show an effect; None if they can."""
     effect, flights = EFFECTS.get(name), [*train, *test]
     if isinstance(effect, ImuEffect) and not any(flight.accelerometer or flight.gyro for flight in train):
-        return "the logs hold no inertial sensor: forces are derived from the velocity"
+        return Finding("no_inertial_sensor", name)
     if effect.told_by_torques and not all(flight.gyro for flight in flights):
-        return (
-            "forces alone do not tell it from a drag or a misaligned sensor: torques are not compared in these flights"
-        )
+        return Finding("torques_not_compared", name)
     if reason := missing_in_logs(effect, flights) or lacks_of_scene(name, flights) or lacks_of_air(name, flights):
         return reason
     if reason := too_steady(effect, train) or too_coarse(effect, robot, train):
@@ -32,8 +31,8 @@ def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Fl
         check_joints(effect, bends=robot.joints is not None)
         effect.check(robot)
     except ConfigError as error:
-        return str(error)
-    return ""
+        return Finding("effect_refused", name, {"error": str(error)})
+    return None
 
 
 def at_bounds(name: str, params: ModelParams, neutral: Array, robot: RobotCfg) -> list[str]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.library import neutral_of, seen_candidates
 from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, Nuisance, functions_of
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted, Fitter, label_of
@@ -30,10 +31,6 @@ from aerial_gym.sim2real.statistics import Rise, rise_with_interval
 
 STEADY = 0.2
 """Share of its mean by which an effect's size may follow a structure (rms) and still be called that effect."""
-
-
-BLIND = "these flights leave every parameter of it unknown by more than its scale"
-"""Why an effect is not named that may be there."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,8 +61,8 @@ class Chosen:
     immaterial: dict[str, dict[str, Rise]]
     """Effects that were probable and are worth a trifle in each channel: the rise of its residual without them."""
 
-    refused: dict[str, str]
-    """Effects that were probable if noise were all, and why they are not named."""
+    refused: dict[str, Finding]
+    """Effects that were probable if noise were all, with the reason why they are not named."""
 
     weights: Weighting
 
@@ -98,7 +95,7 @@ class Chosen:
             self,
             named=self.without[name],
             without=less,
-            refused=self.refused | {name: BLIND},
+            refused=self.refused | {name: Finding("parameters_unknown", name)},
             in_part=tuple(rival for rival in self.in_part if rival.effect != name),
         )
 
@@ -167,17 +164,16 @@ class _Chooser:
         named, blind = self.shown(named, view.fitter)
         named, immaterial, without = self.without_trifles(named, view.fitter)
         refused = {
-            name: f"probable if noise were all (log odds {found.log_odds:.0f}), not as far as flights agree on it, or only "
-            "beside a structure"
+            name: Finding("flights_disagree", name, {"log_odds": found.log_odds})
             for name, found in (present.support if fits[0].holds else fits[0].support | present.support).items()
-        } | {name: f"runs into its physical bound: {', '.join(found)}" for name, found in ends.items()}
+        } | {name: Finding("at_bound", name, {"parameters": found}) for name, found in ends.items()}
         refused |= {
-            name: f"more probable than not, and not told from nothing (log odds {odds:.1f}, {LEAST_SCORE:g} asked)"
+            name: Finding("not_told_from_nothing", name, {"log_odds": odds, "least_log_odds": LEAST_SCORE})
             if odds <= LEAST_SCORE
-            else "told from nothing only beside what is not"
+            else Finding("told_beside_another", name)
             for name, odds in unsure.items()
         }
-        refused |= dict.fromkeys(blind, BLIND)
+        refused |= {name: Finding("parameters_unknown", name) for name in blind}
         away = (*named.effects, *surrogates, *immaterial)
         shown = {candidate.name for candidate in seen_candidates(view.library)}
         return Chosen(

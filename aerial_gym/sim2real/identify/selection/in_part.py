@@ -15,6 +15,7 @@ import numpy as np
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array, Indices
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.library import has_starts
 from aerial_gym.sim2real.identify.evidence.fitting import ENOUGH, Compared, Fitted, Fitter
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
@@ -39,13 +40,10 @@ class RivalInPart:
     """Log evidence over that of the most probable set, as far as flights agree."""
 
     @property
-    def sentence(self) -> str:
-        """Return what to know of it."""
-        values = ", ".join(f"{name} {value:.4g}" for name, value in self.params.items())
-        return (
-            f"{self.parameter} of {self.effect} may as well be {self.other} ({values}), as far as these flights tell "
-            f"(log odds {self.log_odds:.1f})"
-        )
+    def finding(self) -> Finding:
+        """Return the rival with its numbers."""
+        values = {"parameter": self.parameter, "other": self.other, "params": self.params, "log_odds": self.log_odds}
+        return Finding("parameter_tied", self.effect, values)
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit
 from aerial_gym.sim2real.identify.least_squares.leave_out import steps_without
@@ -152,25 +153,25 @@ class LeftOut:
             visible=tuple((fallen > (self.criteria.visible * self.tolerated) ** 2).tolist()),
         )
 
-    def objections(self, gain: Gain) -> list[str]:
-        """Return why a gain on flights left out does not count."""
+    def objections(self, gain: Gain) -> list[Finding]:
+        """Return the reasons why a gain on flights left out does not count."""
         rules, found = self.criteria, []
         if gain.p_value > rules.left_out_significance:
-            found.append(f"gain on flights left out may be chance (p = {gain.p_value:.2g})")
+            found.append(Finding("gain_by_chance", "", {"p_value": gain.p_value}))
         if gain.flights_better < rules.flights_better:
-            found.append(f"predicts only {gain.flights_better:.0%} of the flights left out better")
+            found.append(Finding("few_flights_better", "", {"share": gain.flights_better}))
         if max(fall * seen for fall, seen in zip(gain.falls, gain.visible, strict=True)) < rules.material:
-            found.append(f"takes at most {max(*gain.falls, 0.0):.1%} off a residual, or less than the tolerances hide")
+            found.append(Finding("gain_small", "", {"share": max(*gain.falls, 0.0)}))
         return [*found, *self.harms(gain)]
 
-    def harms(self, gain: Gain) -> list[str]:
-        """Return in which channel a model is worse than the one before."""
+    def harms(self, gain: Gain) -> list[Finding]:
+        """Return the channel in which a model is worse than the one before."""
         if any(gain.worse):
             place = int(np.argmin(np.where(gain.worse, gain.falls, np.inf)))
-            return [f"makes {self.channels[place].name} worse by {-gain.falls[place]:.1%}"]
+            return [Finding("channel_worse", self.channels[place].name, {"share": -gain.falls[place]})]
         if max(gain.harmed) > 1.0 - self.criteria.flights_better:
             place = int(np.argmax(gain.harmed))
-            return [f"makes {self.channels[place].name} worse in {gain.harmed[place]:.0%} of the flights left out"]
+            return [Finding("channel_worse_in_flights", self.channels[place].name, {"share": gain.harmed[place]})]
         return []
 
     def _score(self, less: Array, more: Array, count: Array) -> float:

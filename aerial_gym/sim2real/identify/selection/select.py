@@ -7,6 +7,7 @@ import numpy as np
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.library import neutral_of
 from aerial_gym.sim2real.identify.candidates.nuisance import offsets_of
 from aerial_gym.sim2real.identify.candidates.testable import lacks
@@ -68,8 +69,8 @@ class Selection:
     chosen: Chosen
     """The sets that were compared."""
 
-    not_testable: dict[str, str]
-    """Effects that these flights cannot show, and why."""
+    not_testable: dict[str, Finding]
+    """Effects that these flights cannot show, with the reason."""
 
     left_out: LeftOut
     criteria: Criteria
@@ -174,11 +175,7 @@ def select_effects(
     give_back_memory()
     scorer = _Scorer(predictor, declared, criteria, chosen)
     final, chosen = scorer.final()
-    unseen = {
-        name: f"these flights do not show it; needed: {EFFECTS.get(name).excitation}"
-        for name in chosen.hidden
-        if name not in chosen.effects
-    }
+    unseen = {name: Finding("not_excited", name) for name in chosen.hidden if name not in chosen.effects}
     return Selection(
         declared=scorer.nothing,
         final=final,

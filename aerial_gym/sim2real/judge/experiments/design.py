@@ -16,6 +16,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects.arm_joint import ArmJoint
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.library import starts
 from aerial_gym.sim2real.identify.candidates.testable import lacks
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
@@ -61,16 +62,10 @@ class Advice:
         return {"fly": self.fly, "tells": list(self.tells), "expected_score_per_10s": self.score}
 
     @property
-    def text(self) -> str:
-        """Return the advice in words."""
-        names = " from ".join(self.tells) if len(self.tells) < 3 else ", ".join(self.tells)
-        does = f"expected to {'tell' if len(self.tells) > 1 else 'show'} {names}"
-        if self.fly is None:
-            return (
-                f"no manoeuvre of the catalogue is {does} with the sensors of these logs: weigh or measure on a bench what "
-                "they act on, or log more"
-            )
-        return f"{self.fly}: {does}"
+    def finding(self) -> Finding:
+        """Return the next step: the manoeuvre, or a measurement on the bench."""
+        tells = {"tells": list(self.tells)}
+        return Finding("weigh_or_log", "", tells) if self.fly is None else Finding("fly", self.fly, tells)
 
 
 class Catalogue:

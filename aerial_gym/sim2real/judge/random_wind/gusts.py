@@ -12,10 +12,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array, Flags
+from aerial_gym.sim2real.findings import Finding, refusal
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
-from aerial_gym.sim2real.judge.outcome import NOTHING_NAMED
+from aerial_gym.sim2real.judge.decision import Decision
+from aerial_gym.sim2real.judge.outcome import NOT_SHOWN, NOTHING_NAMED
 from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
     CORR_TIMES,
     Series,
@@ -25,7 +26,7 @@ from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
     p_values_of_rivals,
     process_covariance,
 )
-from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT, NamedEffect
+from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT, NamedEffect, declared_params_of
 from aerial_gym.sim2real.logs.flights import Flight, had_by_all
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -58,47 +59,49 @@ class RandomWind:
     p_value: float = 1.0
     """Probability that noise alone looks like this."""
 
-    objections: tuple[str, ...] = ()
-    """Why it is not called gusts."""
+    objections: tuple[Finding, ...] = ()
+    """Reasons why it is not called gusts."""
 
-    untestable: str = ""
-    """Why it cannot be looked for; empty if it can."""
+    untestable: Finding | None = None
+    """Reason why gusts cannot be looked for; None if they can."""
 
     @property
     def accepted(self) -> bool:
         """Whether the flights show gusts."""
-        return self.std > 0.0 and not self.objections and not self.untestable
+        return self.std > 0.0 and not self.objections and self.untestable is None
 
     def params(self) -> dict[str, float]:
         """Return the parameters as in robot files."""
         return {"std": float(f"{self.std:.6g}"), "corr_time": float(f"{self.corr_time:.6g}")}
 
     @property
-    def notes(self) -> tuple[str, ...]:
-        """What a reader must know of it."""
+    def notes(self) -> tuple[Finding, ...]:
+        """Notes on gusts: their effect on the noise floor, or the objections to them."""
         if self.accepted:
-            return (
-                "gusts are random: they predict no row and lower no residual; the noise floor after the correction includes "
-                "what they add",
-            )
-        return (f"what remains is not called gusts: {'; '.join(self.objections)}",) if self.objections else ()
+            return (Finding("gusts_are_random", NAME),)
+        return (refusal("gusts_refused", NAME, self.objections),) if self.objections else ()
 
-    def decision(self, made: tuple[str, str, tuple[str, ...]]) -> tuple[str, str, tuple[str, ...]]:
-        """Return verdict, reason and candidates with the gusts in them."""
-        kind, reason, candidates = made
+    def decision(self, made: Decision) -> Decision:
+        """Return a decision with accepted gusts among its candidates."""
         if not self.accepted:
             return made
-        if kind in NOTHING_NAMED:
-            near = "what remains is near the noise floor with them" if kind == "none" else reason
-            return "explained", f"the flights show gusts; {near}", (NAME,)
-        return kind, f"{reason}; beside it the flights show gusts", (*candidates, NAME)
+        if made.kind not in NOTHING_NAMED:
+            return replace(made, candidates=(*made.candidates, NAME))
+        rest = made.findings if made.kind == NOT_SHOWN else (Finding("gusts_reach_floor", NAME),)
+        return Decision(kind="explained", candidates=(NAME,), findings=rest)
 
-    def named(self) -> NamedEffect:
-        """Return it as an effect of the verdict."""
+    def named(self, robot: RobotCfg) -> NamedEffect:
+        """Return the gusts as an effect of the verdict."""
         std = {key: value * s for (key, value), s in zip(self.params().items(), self.spread, strict=True)}
         confidence = min(1.0 - self.p_value, MOST_CONFIDENT)
         return NamedEffect(
-            name=NAME, params=self.params(), std=std, noise_std=std, frozen=(), confidence=float(confidence)
+            name=NAME,
+            params=self.params(),
+            std=std,
+            noise_std=std,
+            frozen=(),
+            confidence=float(confidence),
+            declared=declared_params_of(NAME, robot),
         )
 
     def adds(self, predictor: Predictor, params: ModelParams) -> Array:
@@ -141,12 +144,12 @@ def find_random_wind(
     """
     places = [place for place, channel in enumerate(predictor.channels) if channel.kind == "specific_force"]
     if floor is None:
-        return RandomWind(untestable="the logs are too slow to show a noise floor, above which gusts would stand")
+        return RandomWind(untestable=Finding("gusts_no_floor", NAME))
     if len(places) != 3 or any(flight.lin_vel is None for flight in predictor.flights):
-        return RandomWind(untestable="needs specific force and velocity in the logs")
+        return RandomWind(untestable=Finding("gusts_no_forces", NAME))
     response = [part[:, places] for part in wind_response(predictor, params)]
     if np.linalg.svd(np.concatenate(response), compute_uv=False)[:, -1].min() < LEAST_RESPONSE:
-        return RandomWind(untestable=f"needed: {EFFECTS.get(NAME).excitation}; this model has no drag along some axis")
+        return RandomWind(untestable=Finding("gusts_no_drag", NAME))
     if not remaining[places].any():
         return RandomWind()
     series = wind_series(predictor, params, response, places)
@@ -159,13 +162,17 @@ def find_random_wind(
     seen = added > criteria.visible * tolerated
     objections = []
     if found.p_value > criteria.significance:
-        objections.append(f"may be noise (p = {found.p_value:.2g})")
+        objections.append(Finding("may_be_noise", NAME, {"p_value": found.p_value}))
     if max((share * seen)[places]) < criteria.material:
-        objections.append("adds too little to the noise of any channel, or less than the tolerances hide")
+        objections.append(Finding("adds_too_little", NAME))
     if not CORR_TIMES[0] * 1.5 < found.corr_time < 2.0 * max(flight.time[-1] for flight in predictor.flights):
-        objections.append(f"a correlation time of {found.corr_time:.2g} s is not one that these flights show")
+        objections.append(Finding("wrong_corr_time", NAME, {"corr_time_s": found.corr_time}))
     p_values = p_values_of_rivals(series, fit)
-    objections += [f"{what} (p = {p:.1g})" for what, p in p_values.items() if p < LEAST_P_VALUE]
+    objections += [
+        Finding("rival_process", NAME, {"process": process, "p_value": p})
+        for process, p in p_values.items()
+        if p < LEAST_P_VALUE
+    ]
     return replace(found, objections=tuple(objections))
 
 

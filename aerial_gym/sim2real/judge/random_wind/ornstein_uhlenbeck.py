@@ -175,15 +175,15 @@ def p_value_of_noise(series: Series, fit: ProcessFit) -> float:
 
 
 def p_values_of_rivals(series: Series, fit: ProcessFit) -> dict[str, float]:
-    """Return what the wind must not be, and the probability that gusts by chance look at least as much like it."""
+    """Return the p-value of each other process that the wind may be: gusts look as much like it by chance this often."""
     innovations, whiten = whitened(series, fit)
     return {
-        "remembers otherwise than by one correlation time": p_value_of_memory(innovations),
-        "has a line at one frequency": p_value_of_line(innovations),
-        "is not distributed as a random wind": p_value_of_shape(innovations),
-        "differs between the axes": p_value_of_unequal(series, fit, "axes"),
-        "differs between the flights": p_value_of_unequal(series, fit, "flights"),
-        **{f"follows {name}": p_value_of_following(whiten(x), innovations) for name, x in series.features.items()},
+        "memory": p_value_of_memory(innovations),
+        "line": p_value_of_line(innovations),
+        "shape": p_value_of_shape(innovations),
+        "axes": p_value_of_unequal(series, fit, "axes"),
+        "flights": p_value_of_unequal(series, fit, "flights"),
+        **{name: p_value_of_following(whiten(x), innovations) for name, x in series.features.items()},
     }
 
 

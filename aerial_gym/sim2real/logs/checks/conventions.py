@@ -14,11 +14,12 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.checks.kinematics import CHECK_BANDWIDTH_HZ, kinematic_errors
 from aerial_gym.sim2real.logs.checks.rotors import check_rotors
 from aerial_gym.sim2real.logs.checks.units import check_growth, check_units
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
-from aerial_gym.sim2real.logs.readers.stamps import MOST_BAD, places
+from aerial_gym.sim2real.logs.readers.stamps import MOST_BAD, SHOWN
 from aerial_gym.sim2real.logs.recording import AT_REST, NORM_OFF, FlightLog, part_of, rate_of
 from aerial_gym.sim2real.logs.signals import lowpass
 
@@ -40,7 +41,7 @@ LEAST_ACROSS = 1.0
 """Rms of the specific force across z [m/s²] in world axes from which tilt stands out from drag."""
 
 
-def check_log(log: FlightLog, robot: RobotCfg) -> list[str]:
+def check_log(log: FlightLog, robot: RobotCfg) -> list[Finding]:
     """Raise ``DataError`` for a log that is not what it claims to be; return notes about lesser defects."""
     check_rotors(log, robot)
     _check_constant_columns(log)
@@ -51,7 +52,7 @@ def check_log(log: FlightLog, robot: RobotCfg) -> list[str]:
     _check_velocity(log, attitude)
     _check_force_frame(log, attitude)
     check_growth(log)
-    return [*notes, *(text for errors in kinematic_errors(log) for text in errors.sentences())]
+    return [*notes, *(note for errors in kinematic_errors(log) for note in errors.findings())]
 
 
 def check_time(log: FlightLog) -> None:
@@ -94,8 +95,8 @@ def without_bad_quaternions(log: FlightLog) -> FlightLog:
         return log
     row = int(np.argmax(bad))
     if bad.mean() <= MOST_BAD:
-        where = places([f"t = {time:.6g} s" for time in log.time[bad]])
-        note = f"{bad.sum()} of {bad.size} rows left out: their attitude quaternion does not have norm 1 ({where})"
+        values = {"rows": int(bad.sum()), "total": bad.size, "times_s": log.time[bad][:SHOWN].tolist()}
+        note = Finding("rows_without_quaternion", "", values)
         log = part_of(log, ~bad)
         return replace(log, notes=(*log.notes, note))
     raise DataError(

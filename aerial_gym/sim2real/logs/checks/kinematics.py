@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, rate_of
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
 from aerial_gym.sim2real.statistics import student_quantile
@@ -47,31 +48,25 @@ class ImuErrors:
     half_width: Array
     """Half widths of the 95 % intervals of bias, angle and delay, (7,); infinite: the flight does not show it."""
 
-    def sentences(self) -> list[str]:
-        """Return what is certain and material, one sentence each."""
-        unit, found = {"gyro": "rad/s", "accelerometer": "m/s²"}[self.sensor], []
-        values = np.concatenate((self.bias, self.angle, [self.delay]))
-        sure = np.abs(values) > self.half_width
+    def findings(self) -> list[Finding]:
+        """Return the errors that are certain and material; an axis that the flight does not show has no half width."""
+        unit, found = {"gyro": "rad_s", "accelerometer": "m_s2"}[self.sensor], []
+        sure = np.abs(np.concatenate((self.bias, self.angle, [self.delay]))) > self.half_width
 
-        def text(part: slice, digits: int, scale: float = 1.0) -> str:
-            pairs = zip(values[part] * scale, self.half_width[part] * scale, strict=True)
-            return ", ".join(
-                f"{value:.{digits}f} ± {half_width:.{digits}f}" if np.isfinite(half_width) else "not shown"
-                for value, half_width in pairs
-            )
+        def half_widths(part: slice, scale: float = 1.0) -> list[float | None]:
+            return [scale * value if np.isfinite(value) else None for value in self.half_width[part].tolist()]
+
+        def note(code: str, **values: object) -> None:
+            found.append(Finding(code, "", {"sensor": self.sensor, **values}))
 
         if np.any(sure[:3] & (np.abs(self.bias) > MATERIAL[self.sensor])):
-            found.append(f"{self.sensor} bias {text(slice(0, 3), 3)} {unit} by kinematics; left as logged")
+            bias = {f"bias_{unit}": self.bias.tolist(), f"half_width_{unit}": half_widths(slice(0, 3))}
+            note("sensor_bias", **bias)
         if np.any(sure[3:6] & (np.abs(self.angle) > MATERIAL["misalignment"])):
-            angles = text(slice(3, 6), 2, float(np.degrees(1.0)))
-            found.append(
-                f"{self.sensor} turned against the body by {angles} deg (x, y, z) by kinematics; left as logged"
-            )
+            angle = np.degrees(self.angle).tolist()
+            note("sensor_turned", angle_deg=angle, half_width_deg=half_widths(slice(3, 6), float(np.degrees(1.0))))
         if sure[6] and abs(self.delay) > MATERIAL["clock"]:
-            other = "attitude" if self.sensor == "gyro" else "velocity"
-            way = "late" if self.delay > 0.0 else "early"
-            amount = f"{1e3 * abs(self.delay):.1f} ± {1e3 * self.half_width[6]:.1f} ms"
-            found.append(f"{self.sensor} {amount} {way} against {other} by kinematics; left as logged")
+            note("sensor_late", late_ms=1e3 * self.delay, half_width_ms=1e3 * float(self.half_width[6]))
         return found
 
 

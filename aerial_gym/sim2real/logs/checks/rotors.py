@@ -12,6 +12,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.declared_rotors import lift
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
 from aerial_gym.sim2real.logs.recording import FlightLog
@@ -41,8 +42,7 @@ def without_copied_commands(log: FlightLog) -> FlightLog:
     speed, command = log.rotor_speed, log.rotor_command
     if speed is None or command is None or not np.array_equal(speed, command):
         return log
-    note = "commands equal the measured rotor speeds in every row: a copy, which says nothing about lag; left out"
-    return replace(log, rotor_command=None, notes=(*log.notes, note))
+    return replace(log, rotor_command=None, notes=(*log.notes, Finding("commands_copied")))
 
 
 def _check_sign(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> None:

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
 from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, rate_of
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass
@@ -140,7 +141,7 @@ def _likeliest(shared: Array, count: int) -> tuple[int, ...]:
     return best if clear else plain
 
 
-def check_units(log: FlightLog) -> list[str]:
+def check_units(log: FlightLog) -> list[Finding]:
     """Raise ``DataError`` if velocity and position differ by a unit, a sign or an order; return a note on lesser factors."""
     velocity, place = log.lin_vel, log.position
     if velocity is None or place is None:
@@ -247,14 +248,13 @@ def _unit(letter: str, found: Relation, factor: float, mends: float) -> str:
     return f"{columns} had to be multiplied by {mends:.3g}, which no unit explains: {way}"
 
 
-def _notes(found: Relation | None) -> list[str]:
+def _notes(found: Relation | None) -> list[Finding]:
     if found is None:
         return []
     material = found.sure & (np.abs(np.log(np.where(found.told, np.abs(found.factor), 1.0))) > MATERIAL)
     if not material.any():
         return []
-    text = ", ".join(
-        f"{'xyz'[axis]} {1.0 / np.abs(found.factor[axis]):.3f} ({1.0 / found.high[axis]:.3f} to {1.0 / found.low[axis]:.3f})"
-        for axis in np.flatnonzero(material)
-    )
-    return [f"velocity over derivative of position: {text}; left as logged"]
+    axes = np.flatnonzero(material).tolist()
+    factor, low, high = (1.0 / values[axes] for values in (np.abs(found.factor), found.high, found.low))
+    values = {"axes": ["xyz"[axis] for axis in axes], "factor": factor.tolist()}
+    return [Finding("velocity_factor", "", {**values, "low": low.tolist(), "high": high.tolist()})]

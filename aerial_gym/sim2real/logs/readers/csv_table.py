@@ -14,9 +14,10 @@ import pandas as pd
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.readers.csv_lines import find_header, lines_of
 from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, ColumnsCfg, LogMapping, find_mapping, mapping_names
-from aerial_gym.sim2real.logs.readers.stamps import MOST_BAD, checked_stamps, places, seconds_of
+from aerial_gym.sim2real.logs.readers.stamps import MOST_BAD, SHOWN, checked_stamps, seconds_of
 
 FEW_DIGITS = 20
 """If time stands still in more than one row of so many, it was written with too few digits."""
@@ -28,21 +29,21 @@ LARGEST = 1e9
 """Size in SI units beyond which no measurement of a flight is one."""
 
 
-def csv_rows(path: Path, layout: LogMapping, notes: list[str]) -> tuple[pd.DataFrame, Array, tuple[float, ...]]:
+def csv_rows(path: Path, layout: LogMapping, notes: list[Finding]) -> tuple[pd.DataFrame, Array, tuple[float, ...]]:
     """Return the rows of a file with good time stamps, their time [s] (T,), and the corrected times of clock steps [s]."""
     table = without_copies(read_table(path, layout, notes), notes)
     stamps = checked_stamps(stamps_of(table, layout, str(path)), str(path))
-    if note := stamps.late_rows([f"line {line}" for line in table.index[stamps.late]]):
-        notes.append(note)
+    notes.extend(stamps.late_note(table.index[stamps.late].to_numpy(dtype=int).tolist()))
     table = table.iloc[stamps.order]
     bad = table.index[~stamps.kept]
-    _note_rows(bad.tolist(), len(table), "time stamps that do not fit the rows around them", notes)
+    _note_rows("rows_with_bad_stamps", bad.tolist(), len(table), notes)
     table = table.drop(index=bad)
-    notes.extend(step.sentence(f"line {table.index[step.row]}") for step in stamps.steps)
+    lines = table.index.to_numpy(dtype=int).tolist()
+    notes.extend(step.finding("line", lines[step.row]) for step in stamps.steps)
     return table, stamps.time, tuple(float(stamps.time[step.row]) for step in stamps.steps)
 
 
-def read_table(path: Path, layout: LogMapping, notes: list[str]) -> pd.DataFrame:
+def read_table(path: Path, layout: LogMapping, notes: list[Finding]) -> pd.DataFrame:
     """Return the columns of a file; the index is the line of each row, empty fields are NaN.
 
     Lines that do not fit the header, and rows with a field that is no number, are left out and noted.
@@ -62,7 +63,7 @@ def read_table(path: Path, layout: LogMapping, notes: list[str]) -> pd.DataFrame
             f"{path}, line {bad[0]}: its fields do not fit the {len(header.names)} names of the header, as in {len(bad)} of "
             f"{len(rows)} lines; correct the header"
         )
-    _note_rows(bad, len(rows), f"not the {len(header.names)} fields of the header", notes)
+    _note_rows("rows_not_of_header", bad, len(rows), notes, fields=len(header.names))
     wanted = {name: q for q in layout.quantities().values() for name in _names(q, header.names)}
     if twice := sorted(name for name in wanted if header.names.count(name) > 1):
         raise DataError(f"{path}: column {twice[0]!r} appears twice in the header; rename or remove one of them")
@@ -83,13 +84,13 @@ def read_table(path: Path, layout: LogMapping, notes: list[str]) -> pd.DataFrame
 
 
 def _numeric(
-    table: pd.DataFrame, wanted: Mapping[str, ColumnsCfg], time: str, path: str, notes: list[str]
+    table: pd.DataFrame, wanted: Mapping[str, ColumnsCfg], time: str, path: str, notes: list[Finding]
 ) -> pd.DataFrame:
     """Return the table with numbers in the wanted columns, without the rows that hold something else there.
 
     A time that is no number is a bad stamp: it stays, as NaN.
     """
-    bad, example = np.zeros(len(table), dtype=bool), ""
+    bad, example = np.zeros(len(table), dtype=bool), dict[str, object]()
     for name, quantity in wanted.items():
         if name not in table.columns:
             continue
@@ -109,18 +110,17 @@ def _numeric(
         far = size > LARGEST
         wrong |= far & (far.mean() <= MOST_BAD)  # more of them are a wrong unit
         if wrong.any() and not bad.any():
-            example = f"{name} = {text[int(np.argmax(wrong))]!s}"
+            example = {"column": name, "field": str(text[int(np.argmax(wrong))])}
         bad |= wrong
     out = table.index[bad]
-    _note_rows(out.tolist(), len(table), f"a field that is no number of a flight, such as {example}", notes)
+    _note_rows("rows_without_numbers", out.tolist(), len(table), notes, **example)
     return table.drop(index=out)
 
 
-def _note_rows(lines: Sequence[int], total: int, reason: str, notes: list[str]) -> None:
-    """Note how many rows were left out, why, and where."""
+def _note_rows(code: str, lines: Sequence[int], total: int, notes: list[Finding], **more: object) -> None:
+    """Note how many rows were left out, and the first lines of them."""
     if lines:
-        where = places([f"line {line}" for line in lines])
-        notes.append(f"{len(lines)} of {total} rows left out: {reason} ({where})")
+        notes.append(Finding(code, "", {"rows": len(lines), "total": total, "lines": list(lines[:SHOWN]), **more}))
 
 
 def _names(quantity: ColumnsCfg, known: Sequence[str]) -> list[str]:
@@ -146,12 +146,12 @@ def columns_of(table: pd.DataFrame, quantity: ColumnsCfg, name: str, path: str) 
     return present
 
 
-def without_copies(table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
+def without_copies(table: pd.DataFrame, notes: list[Finding]) -> pd.DataFrame:
     """Return the table without rows that equal an earlier one in every column, time included."""
     copies = np.asarray(table.duplicated())
     if not copies.any():
         return table
-    notes.append(f"{int(copies.sum())} rows that are copies of an earlier one, time included, were left out")
+    notes.append(Finding("rows_copied", "", {"rows": int(copies.sum())}))
     return table.drop(index=table.index[copies])
 
 
@@ -184,7 +184,7 @@ def numbers_in(
     quantity: ColumnsCfg,
     time: Array,
     path: str,
-    notes: list[str],
+    notes: list[Finding],
     *,
     gaps: bool = False,
     held: bool = False,
@@ -204,8 +204,8 @@ def numbers_in(
         )
         filled += int(np.isnan(numbers).sum())
     if filled:
-        how = "by the value before" if held else "by straight lines"
-        notes.append(f"{filled} empty fields of {columns[0]} to {columns[-1]} filled {how}")
+        values = {"fields": filled, "first": columns[0], "last": columns[-1], "held": held}
+        notes.append(Finding("fields_filled", "", values))
     return found
 
 

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.checks.conventions import without_bad_quaternions
 from aerial_gym.sim2real.logs.checks.time_courses import check_clock_steps
 from aerial_gym.sim2real.logs.readers.csv_table import (
@@ -52,7 +53,7 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
         DataError: If file, columns or fields cannot be used; the message names file, row or column and the way out.
     """
     ulog = Path(path).suffix.lower() == ".ulg"
-    layout, notes = mapping or find_mapping("px4_ulog" if ulog else "aerial_gym"), list[str]()
+    layout, notes = mapping or find_mapping("px4_ulog" if ulog else "aerial_gym"), list[Finding]()
     if ulog:
         table, clock_steps = ulog_table(Path(path), notes)
         time = column_in(table, layout.time.columns[0], str(path)) * UNITS[layout.time.unit]
@@ -70,7 +71,7 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
             except DataError as error:
                 if name != "battery":
                     raise
-                notes.append(f"battery voltage left out: {error}")
+                notes.append(Finding("battery_left_out", "", {"error": str(error)}))
                 continue
             values[name] = _converted(raw, table, quantity, str(path)) * UNITS[quantity.unit]
             if np.nanmax(np.abs(values[name]), initial=0.0) > LARGEST:
@@ -79,11 +80,11 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
                     f"{LARGEST:.0g} is of this world; check the unit"
                 )
     if layout.lacks:
-        notes.append(layout.lacks)
+        notes.append(Finding("mapping_note", "", {"text": layout.lacks}))
     integrated = "attitude" not in values and layout.attitude is None and not hover
     if "attitude" not in values and hover:
         values["attitude"] = np.tile((0.0, 0.0, 0.0, 1.0), (time.size, 1))
-        notes.append("attitude not logged: taken as level")
+        notes.append(Finding("attitude_level"))
     if integrated:
         _integrate_attitude(values, time, layout, str(path), notes)
     _require(values, layout, list(table.columns), str(path), notes, hover=hover)
@@ -110,14 +111,14 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
     return log
 
 
-def _volts(values: Array | None, time: Array, notes: list[str]) -> Array | None:
+def _volts(values: Array | None, time: Array, notes: list[Finding]) -> Array | None:
     """Return the battery voltage [V], (T,), with straight lines in place of values that are none; None without any."""
     if values is None or not (bad := values[:, 0] <= 0.0).any():
         return None if values is None else values[:, 0]
     if bad.all():
-        notes.append("battery voltage left out: it is not above 0 V in any row")
+        notes.append(Finding("battery_without_voltage"))
         return None
-    notes.append(f"battery voltage is not above 0 V in {bad.sum()} of {bad.size} rows; filled by straight lines")
+    notes.append(Finding("battery_filled", "", {"rows": int(bad.sum()), "total": bad.size}))
     return np.interp(time, time[~bad], values[~bad, 0])
 
 
@@ -150,7 +151,9 @@ def _converted(raw: Array, table: pd.DataFrame, quantity: ColumnsCfg, path: str)
     return np.repeat(values, quantity.repeat, axis=1)
 
 
-def _integrate_attitude(values: dict[str, Array], time: Array, layout: LogMapping, path: str, notes: list[str]) -> None:
+def _integrate_attitude(
+    values: dict[str, Array], time: Array, layout: LogMapping, path: str, notes: list[Finding]
+) -> None:
     """Write an attitude that starts level and turns with the gyro; refuse logs in which it would be compared with the world."""
     if "ang_vel" not in values or "position" in values or "lin_vel" in values:
         raise DataError(f"{path}: has no attitude. {layout.lacks or 'Log it, or map it.'}")
@@ -159,10 +162,10 @@ def _integrate_attitude(values: dict[str, Array], time: Array, layout: LogMappin
     for turn in turns:
         attitude.append(attitude[-1] * turn)
     values["attitude"] = np.array([turn.as_quat() for turn in attitude])
-    notes.append("attitude not logged: integrated from the gyro, level at the start; only body axes are compared")
+    notes.append(Finding("attitude_integrated"))
 
 
-def _companion(path: Path, layout: LogMapping, time: Array, notes: list[str]) -> Array | None:
+def _companion(path: Path, layout: LogMapping, time: Array, notes: list[Finding]) -> Array | None:
     """Return the position of the vehicle whose file has a name that the layout derives from this one, (T, 3)."""
     for text, other in layout.companion.items():
         partner = path.parent / path.name.replace(text, other)
@@ -173,28 +176,28 @@ def _companion(path: Path, layout: LogMapping, time: Array, notes: list[str]) ->
         place = np.stack([np.interp(time, log.time, p, left=np.nan, right=np.nan) for p in log.position.T], axis=1)
         after = np.clip(np.searchsorted(log.time, time), 1, log.time.size - 1)
         place[log.time[after] - log.time[after - 1] > COMPANION_GAP_S] = np.nan
-        notes.append(f"position of the other vehicle from {partner.name}")
+        notes.append(Finding("other_vehicle", "", {"file": partner.name}))
         return place
     return None
 
 
-def _known_wind(path: Path, layout: LogMapping, notes: list[str]) -> tuple[float, float, float] | None:
+def _known_wind(path: Path, layout: LogMapping, notes: list[Finding]) -> tuple[float, float, float] | None:
     """Return the wind that the layout declares for a file of this name [m/s], world ENU; None if it declares none."""
     found = [text for text in layout.wind if text in path.stem]
     if len(found) > 1:
         raise DataError(f"{path}: the mapping declares the wind of {' and of '.join(found)}; make the texts differ")
     if not found:
         if layout.wind:
-            notes.append("the mapping declares no wind for a file of this name: taken as still air")
+            notes.append(Finding("wind_not_declared"))
         return None
     x, y, z = layout.wind[found[0]]
     wind = (y, x, -z) if layout.world_frame == "ned" else (x, y, z)
-    notes.append(f"declared wind ({', '.join(f'{speed:g}' for speed in wind)}) m/s, world")
+    notes.append(Finding("wind_declared", "", {"wind_m_s": list(wind)}))
     return wind
 
 
 def _require(
-    values: dict[str, Array], layout: LogMapping, known: list[str], path: str, notes: Sequence[str], *, hover: bool
+    values: dict[str, Array], layout: LogMapping, known: list[str], path: str, notes: Sequence[Finding], *, hover: bool
 ) -> None:
     """Raise ``DataError`` unless the log has what every use of it needs."""
     if "attitude" not in values and layout.attitude is not None:
@@ -205,7 +208,7 @@ def _require(
                 "q = qz(yaw) qy(pitch) qx(roll), body to world, into q_x, q_y, q_z, q_w"
             )
         raise DataError(not_there(column, known, path))
-    lost = "".join(f" {note}." for note in notes if note.startswith("topic left out"))
+    lost = "".join(f" Topic left out: {note.values['error']}." for note in notes if note.code == "topic_left_out")
     for one, other in (("ang_vel", "specific_force"), ("rotor_speed", "rotor_command")):
         if one in values or other in values or (hover and one == "ang_vel"):
             continue

@@ -14,6 +14,7 @@ from scipy import ndimage
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.readers.late_blocks import JOINT_STEPS, find_blocks
 from aerial_gym.sim2real.logs.recording import gap_limit
 
@@ -66,16 +67,16 @@ class ClockStep:
     """Counter that wrapped, a key of ``COUNTERS_S``; empty if the clock was set back by another amount."""
 
     may_be_restart: bool = False
-    """Whether the clock may as well have started anew: with a wrap, more than ``JOINT_STEPS`` passed between the two rows."""
+    """Whether the clock may have restarted: with a wrap, more than ``JOINT_STEPS`` passed between the two rows."""
 
-    def sentence(self, place: str) -> str:
-        """Return the note on this step at a place such as ``line 902``."""
-        cause = f"the counter of the clock ({self.counter}) wrapped" if self.counter else "the clock was set back"
-        jump = f"from {self.before:.6g} to {self.after:.6g} s"
-        doubt = "; it may as well have started anew, and the time between the two rows is then not known"
-        return (
-            f"{cause} at {place}, {jump}; later stamps were shifted by {self.shift:+.6g} s{doubt * self.may_be_restart}"
-        )
+    def finding(self, unit: str, number: int, topic: str = "") -> Finding:
+        """Return the note on this step at a line or sample of some number."""
+        values = {"before_s": self.before, "after_s": self.after, "shift_s": self.shift, unit: number}
+        values |= {"topic": topic} if topic else {}
+        if self.counter:
+            restart = {"may_be_restart": self.may_be_restart}
+            return Finding("clock_wrapped", "", {"counter": self.counter, **values, **restart})
+        return Finding("clock_set_back", "", values)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,10 +98,12 @@ class CheckedStamps:
     steps: tuple[ClockStep, ...]
     """Steps back of the clock, in order."""
 
-    def late_rows(self, names: Sequence[str]) -> str:
-        """Return the note on late blocks, empty without any; ``names`` are the places of ``late``."""
-        moved = f"{self.late.size} blocks of rows were written late and are put in order of time: from {places(names)}"
-        return moved if self.late.size else ""
+    def late_note(self, places: Sequence[int], topic: str = "") -> list[Finding]:
+        """Return the note on late blocks, which begin at some lines or samples; none without any."""
+        if not places:
+            return []
+        values = {"blocks": len(places), "places": list(places[:SHOWN]), "topic": topic}
+        return [Finding("blocks_ordered", "", values)]
 
 
 def seconds_of(stamps: ArrayLike, unit: float) -> Array:
@@ -201,9 +204,3 @@ def _with_one_clock(stamps: Array, kept: Flags, step: float) -> tuple[Array, lis
         doubt = bool(counter) and shift - back > JOINT_STEPS * passed
         found.append(ClockStep(row=row, before=before, after=after, shift=shift, counter=counter, may_be_restart=doubt))
     return time, found
-
-
-def places(names: Sequence[str]) -> str:
-    """Return the first ``SHOWN`` places and the number of the others."""
-    more = len(names) - SHOWN
-    return ", ".join(names[:SHOWN]) + (f" and {more} more" if more > 0 else "")

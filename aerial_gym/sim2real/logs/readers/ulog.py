@@ -18,7 +18,8 @@ import pandas as pd
 
 from aerial_gym.errors import DataError, MissingDependencyError
 from aerial_gym.sim2real.arrays import Array, Flags
-from aerial_gym.sim2real.logs.readers.stamps import CheckedStamps, ClockStep, checked_stamps, places, seconds_of
+from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.logs.readers.stamps import SHOWN, CheckedStamps, ClockStep, checked_stamps, seconds_of
 from aerial_gym.sim2real.logs.signals import signs_of
 
 Topics = Mapping[str, Mapping[str, Array]]
@@ -81,7 +82,7 @@ class Series:
         return float(np.median(np.diff(self.time)))
 
 
-def ulog_table(path: Path, notes: list[str]) -> tuple[pd.DataFrame, tuple[float, ...]]:
+def ulog_table(path: Path, notes: list[Finding]) -> tuple[pd.DataFrame, tuple[float, ...]]:
     """Return the table of a ULog file, read by pyulog, and the corrected times of steps of its clock [s].
 
     Raises:
@@ -100,11 +101,11 @@ def ulog_table(path: Path, notes: list[str]) -> tuple[pd.DataFrame, tuple[float,
     except Exception as error:  # pyulog raises whatever its parser meets
         raise DataError(f"{path}: cannot be read as a PX4 ULog ({error!r})") from None
     if log.file_corruption:
-        notes.append("the file is damaged; pyulog left out what it could not read")
+        notes.append(Finding("file_damaged"))
     return topics_table({part.name: part.data for part in log.data_list if part.multi_id == 0}, str(path), notes)
 
 
-def topics_table(topics: Topics, path: str, notes: list[str]) -> tuple[pd.DataFrame, tuple[float, ...]]:
+def topics_table(topics: Topics, path: str, notes: list[Finding]) -> tuple[pd.DataFrame, tuple[float, ...]]:
     """Return the table of topics, each a mapping of its fields to arrays, and the corrected times of clock steps [s].
 
     Faster topics are averaged over a step of the slowest one, slower ones joined by straight lines, commands held. Rows without
@@ -124,7 +125,7 @@ def topics_table(topics: Topics, path: str, notes: list[str]) -> tuple[pd.DataFr
         try:
             found[name] = _on_clock_of(reference, _series(topics, name, notes), name)
         except DataError as error:
-            notes.append(f"topic left out: {error}")
+            notes.append(Finding("topic_left_out", "", {"topic": name, "error": str(error)}))
     series = _with_common_steps({name: found[name] for name in TOPICS if name in found and found[name].columns})
     clocks = [n for n in CLOCKS if n in series and (series[n].step < 1.0 / SLOWEST_CLOCK_HZ or n == "vehicle_attitude")]
     clock = max(clocks, key=lambda name: series[name].step)
@@ -141,14 +142,15 @@ def topics_table(topics: Topics, path: str, notes: list[str]) -> tuple[pd.DataFr
         if name != "battery_status":
             covered = _covered(rows, one.time, one.step)
             if np.mean(~covered) > MOST_UNCOVERED:
-                notes.append(f"{np.sum(~covered)} of {rows.size} rows left out: topic {name} has no samples near them")
+                left_out = {"rows": int(np.sum(~covered)), "total": rows.size, "topic": name}
+                notes.append(Finding("rows_without_topic", "", left_out))
             near &= covered
     attitude = series["vehicle_attitude"]
     table = pd.DataFrame({name: column[near] for name, column in {"t": rows, **columns}.items()})
     return table, tuple(float(attitude.time[step.row]) for step in attitude.steps)
 
 
-def _series(topics: Topics, name: str, notes: list[str]) -> Series:
+def _series(topics: Topics, name: str, notes: list[Finding]) -> Series:
     """Return the usable samples of a topic; without columns if it holds none.
 
     Raises:
@@ -165,19 +167,16 @@ def _series(topics: Topics, name: str, notes: list[str]) -> Series:
         return Series(time=np.zeros(0), columns={}, steps=())
     whole = np.all([np.isfinite(column) for column in values.values()], axis=0)
     checked = _checked_time(topic, f"topic {name}")
-    if note := checked.late_rows([f"sample {row}" for row in checked.late]):
-        notes.append(f"topic {name}: {note}")
+    notes.extend(checked.late_note(checked.late.tolist(), topic=name))
     whole, values = whole[checked.order], {label: column[checked.order] for label, column in values.items()}
     good = whole[checked.kept]
     if good.sum() < 2:
         raise DataError(f"topic {name} has {good.sum()} usable rows, needs 2")
     if bad := np.flatnonzero(~checked.kept).tolist():
-        where = places([f"sample {row}" for row in bad])
-        notes.append(
-            f"topic {name}: {len(bad)} of {whole.size} samples left out: time stamps that do not fit the others ({where})"
-        )
+        left_out = {"topic": name, "samples": len(bad), "total": whole.size, "places": bad[:SHOWN]}
+        notes.append(Finding("samples_with_bad_stamps", "", left_out))
     if name == "vehicle_attitude":
-        notes.extend(step.sentence(f"sample {step.row} of {name}") for step in checked.steps)
+        notes.extend(step.finding("sample", step.row, topic=name) for step in checked.steps)
         signs = signs_of(np.stack([values[f"q_{axis}"] for axis in "wxyz"], axis=1))
         values = {label: column * signs for label, column in values.items()}
     steps = tuple(replace(step, row=int(good[: step.row].sum())) for step in checked.steps)

@@ -21,6 +21,7 @@ from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect, Vehic
 from aerial_gym.physics.effects.one_rotor import declared_lag
 from aerial_gym.physics.rotor_lag import stop_in_dead_band
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flights import Flight, names_of
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.tolerances import Deviated
@@ -82,46 +83,47 @@ def _led_to(flight: Flight, model: Model, command: Tensor) -> Tensor:
     command = stop_in_dead_band(model.vehicle, command)
     for effect, params in model.effects[CommandEffect]:
         if lacking := missing_in_logs(effect, [flight]):
-            raise DataError(f"effect {effect.name}: {lacking}, or leave the effect out of the robot file")
+            where = lacking.values["flights"]
+            raise DataError(
+                f"effect {effect.name}: {where}: without battery voltage; log it in volts (column vbat), or leave the effect "
+                "out of the robot file"
+            )
         voltage = torch.full(command.shape[:1], torch.nan) if flight.battery is None else torch.tensor(flight.battery)
         memory = effect.replay_memory(voltage)
         command = effect.command(command, model.vehicle, torch.cat((params.expand(len(memory), -1), memory), dim=-1))
     return command
 
 
-def missing_in_logs(effect: Effect, flights: Sequence[Flight]) -> str:
-    """Return what the logs of flights lack for a replay of an effect, and the way out; empty if nothing."""
+def missing_in_logs(effect: Effect, flights: Sequence[Flight]) -> Finding | None:
+    """Return the quantity that the logs of flights lack for a replay of an effect; None if they have all."""
     without = [flight for flight in flights if flight.battery is None]
     if "battery" in effect.logged and without:
-        return f"{names_of(without, flights)}: without battery voltage; log it in volts (column vbat)"
-    return ""
+        return Finding("logs_lack", effect.name, {"flights": names_of(without, flights), "need": "battery"})
+    return None
 
 
-def too_steady(effect: Effect, flights: Sequence[Flight]) -> str:
-    """Return which logged quantity varies too little in all flights together to show an effect; empty if none."""
+def too_steady(effect: Effect, flights: Sequence[Flight]) -> Finding | None:
+    """Return the variation of the voltage if it is too small in all flights together to show an effect; else None."""
     if "battery" not in effect.logged:
-        return ""
+        return None
     low, middle, high = np.percentile(
         np.concatenate([f.battery for f in flights if f.battery is not None]), (2, 50, 98)
     )
     if high - low >= LEAST_VARIATION * middle:
-        return ""
-    return f"the battery voltage varies by {(high - low) / middle:.1%} in these flights; needed: {effect.excitation}"
+        return None
+    return Finding("voltage_too_steady", effect.name, {"share": float((high - low) / middle)})
 
 
-def too_coarse(effect: Effect, robot: RobotCfg, flights: Sequence[Flight]) -> str:
-    """Return why the rows of commanded flights are too far apart to show an effect; empty if they are not.
+def too_coarse(effect: Effect, robot: RobotCfg, flights: Sequence[Flight]) -> Finding | None:
+    """Return the time between commands if it is too long to show an effect; else None.
 
     What an autopilot commands between two rows is not logged. Rotors that follow within a row have followed that, too, and a
     lag fitted to the rows alone makes up for it.
     """
     rates = [flight.rate for flight in flights if flight.rotor_command is not None]
     if not isinstance(effect, VehicleEffect) or effect.acts_on != "actuation" or not rates:
-        return ""
+        return None
     row, lag = 1.0 / min(rates), min(declared_lag(robot))
     if row < lag:
-        return ""
-    return (
-        f"commands are logged every {1e3 * row:.3g} ms and the declared rotors follow within {1e3 * lag:.3g} ms: what they "
-        "followed between two rows is not known; log commands faster than that"
-    )
+        return None
+    return Finding("commands_too_coarse", effect.name, {"row_ms": 1e3 * row, "lag_ms": 1e3 * lag})

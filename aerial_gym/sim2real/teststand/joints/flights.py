@@ -11,6 +11,7 @@ from pathlib import Path
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.joint import SpringCfg
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.outcome import NOTHING_NAMED
 from aerial_gym.sim2real.logs.readers.csv_lines import find_header, lines_of
@@ -44,7 +45,7 @@ class FoundJoints:
     channels: dict[str, tuple[Rms, Rms]]
     """Errors of what the body felt before and after, where they were not."""
 
-    left_out: tuple[str, ...]
+    left_out: tuple[Finding, ...]
 
     @property
     def named(self) -> tuple[FoundJoint, ...]:
@@ -52,16 +53,17 @@ class FoundJoints:
         return tuple(joint for joint in self.joints if joint.changed)
 
     @property
-    def notes(self) -> tuple[str, ...]:
-        """Return what was left out, and the errors before and after."""
-        errors = [
-            f"joint {one.name}, effort [N m]: {one.declared.value:.3g} before, {one.laws[one.chosen].error.value:.3g} after"
-            for one in self.logged
+    def notes(self) -> tuple[Finding, ...]:
+        """Return the joints that are left out, and the errors before and after."""
+        efforts = [
+            {"before_n_m": one.declared.value, "after_n_m": one.laws[one.chosen].error.value} for one in self.logged
         ]
+        names = [one.name for one in self.logged]
+        errors = [Finding("joint_effort", name, values) for name, values in zip(names, efforts, strict=True)]
         if self.channels:
-            felt = ", ".join(f"{name} {a.value:.3g} to {b.value:.3g}" for name, (a, b) in self.channels.items())
-            errors = [f"what the body felt of its joints, on parts left out [m/s², rad/s²]: {felt}"]
-        return (*(f"joint left out: {text}" for text in self.left_out), *errors)
+            pairs = {name: [before.value, after.value] for name, (before, after) in self.channels.items()}
+            errors = [Finding("joints_felt", "", {"errors_before_and_after": pairs})]
+        return (*self.left_out, *errors)
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
@@ -76,12 +78,12 @@ class FoundJoints:
         return replace(robot, joints=replace(robot.joints, layout=layout, source=f"{robot.joints.source}; {source}"))
 
     def told_in(self, judged: Judged) -> Judged:
-        """Return what was judged with what was found of the joints: what differs is told first, and is in the robot file."""
-        told = "; ".join(joint.sentence for joint in self.named)
+        """Return the verdict and the corrected robot with these joints."""
+        kind = judged.verdict.verdict
         verdict = replace(
             judged.verdict,
-            verdict="explained" if told and judged.verdict.verdict in NOTHING_NAMED else judged.verdict.verdict,
-            reason=judged.verdict.told_before(f"{told}; as a rigid vehicle: ") if told else judged.verdict.reason,
+            verdict="explained" if self.named and kind in NOTHING_NAMED else kind,
+            joint_findings=tuple(joint.finding for joint in self.named),
             joints=tuple(joint.as_mapping() for joint in self.joints),
             notes=(*self.notes, *judged.verdict.notes),
         )
@@ -151,11 +153,9 @@ def study_flown_joints(
         mapping={"bandwidth_hz": bandwidth, **found.as_mapping()},
         tables=_logged_tables(found.logged) if found.logged else _hidden_tables(found),
         notes=(
-            *(f"left out: {text}" for text in found.left_out),
-            "masses of links and thrusts are taken as declared: 1 % more of a link's inertia is 1 % more of its numbers"
-            if found.logged
-            else "masses of links are taken as declared; a scale of all thrusts and constant errors of sensors are fitted too",
-            "intervals hold what scatters within these flights, and no error of what is declared",
+            *found.left_out,
+            Finding("links_as_declared") if found.logged else Finding("thrust_scale_fitted"),
+            Finding("intervals_of_flights"),
         ),
         files={"robot.yaml": dump_yaml(corrected)},
     )

@@ -19,6 +19,7 @@ from aerial_gym.config.joint import JointCfg, JointsCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.arrays import Array, Indices
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.plain import fields_of, plain
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.joints.courses import Course
@@ -64,14 +65,14 @@ class FoundJoint:
     """For the robot file."""
 
     @property
-    def sentence(self) -> str:
-        """What differs, in words."""
-        told = [
-            f"{name} {self.params[name].value:.3g} in place of {self.declared[name]:.3g}"
+    def finding(self) -> Finding:
+        """Return the numbers that differ from the declared ones."""
+        numbers = [
+            {"name": name, "value": self.params[name].value, "declared": self.declared[name]}
             for name in self.changed
             if name in self.params and name in self.declared
         ]
-        return f"joint {self.name}: {', '.join(told) or ', '.join(self.changed)}"
+        return Finding("joint_found", self.name, {"numbers": numbers, "changed": list(self.changed)})
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
@@ -125,27 +126,26 @@ def joints_of(robot: RobotCfg) -> JointsCfg:
     return robot.joints
 
 
-def fit_flown_joints(robot: RobotCfg, courses: Sequence[Course]) -> tuple[list[FlownJoint], list[str]]:
-    """Return every passive joint fitted to all flights, and why others are left out.
+def fit_flown_joints(robot: RobotCfg, courses: Sequence[Course]) -> tuple[list[FlownJoint], list[Finding]]:
+    """Return every passive joint fitted to all flights, and the joints that are left out with the reason.
 
     Raises:
         ConfigError: If the robot is rigid.
     """
     found, left_out = [], []
     for k, joint in enumerate(joints_of(robot).layout):
-        reason = unfit(joint)
-        if reason:
-            left_out.append(f"{joint.name}: {reason}")
+        if reason := unfit(joint):
+            left_out.append(reason)
         else:
             found.append(_fit_one(joint, k, courses))
     return found, left_out
 
 
-def unfit(joint: JointCfg) -> str:
-    """Return why a joint is left out; empty if it is not."""
+def unfit(joint: JointCfg) -> Finding | None:
+    """Return the reason why a joint is left out; None if it is not."""
     if joint.drive is not None:
-        return "has a drive, whose effort is not logged"
-    return "creeps: identify joint fits that from a bench record" if joint.spring and joint.spring.creep else ""
+        return Finding("joint_driven", joint.name)
+    return Finding("joint_creeps", joint.name) if joint.spring and joint.spring.creep else None
 
 
 def _fit_one(joint: JointCfg, k: int, courses: Sequence[Course]) -> FlownJoint:

@@ -61,9 +61,11 @@ def fit_hidden_joints(
         ConfigError: If the robot is rigid, or has a joint whose effort nobody knows.
         DataError: If a flight is too short.
     """
-    left_out = [f"{joint.name}: {reason}" for joint in joints_of(robot).layout if (reason := unfit(joint))]
-    if left_out:
-        raise ConfigError(f"identify joints: without logged angles all joints are needed, and {left_out[0]}")
+    if left_out := [reason for joint in joints_of(robot).layout if (reason := unfit(joint))]:
+        why = "has a drive, whose effort is not logged" if left_out[0].code == "joint_driven" else "creeps"
+        raise ConfigError(
+            f"identify joints: without logged angles all joints are needed, and {left_out[0].subject} {why}"
+        )
     return _Fit(robot, rides, bandwidth).run(progress)
 
 

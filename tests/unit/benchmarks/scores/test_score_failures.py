@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.scores.score_failures import KINDS, SIZES, drawn, judged, tables
 from benchmarks.undeclared import Failure
-from tests.unit.sim2real.failures.test_finding import failure
+from tests.unit.sim2real.failures.test_flight_event import failure
 
 HIDDEN = Failure(kind="motor_failure", motor=2, scale=0.805, time=5.01)
 

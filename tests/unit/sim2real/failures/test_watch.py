@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.failures.finding import FailureFinder
+from aerial_gym.sim2real.failures.flight_event import FailureFinder
 from aerial_gym.sim2real.failures.rotor_work import RotorWork
 from aerial_gym.sim2real.failures.scan import causes_of, sum_of_odds
 from aerial_gym.sim2real.failures.sensor_faults import SensorFault
@@ -82,7 +82,8 @@ def test_a_position_that_jumps_and_returns_is_told_with_its_size() -> None:
         assert alarm.failure.time == pytest.approx(time, abs=0.05)
         assert alarm.failure.params["x"] == pytest.approx(size, abs=0.02)
         assert time < alarm.told_s < time + 2.5
-    assert "position jumps by (+1" in alarms[0].sentence
+    jump = alarms[0].failure.finding
+    assert (jump.code, jump.values["size_m"][0]) == ("position_jump", pytest.approx(1.0, abs=0.5))
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import load_robot
 from aerial_gym.errors import ConfigError
 from aerial_gym.sim2real import close_loop
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.learned import OUTPUTS, Learned, _Trainer, judge_on_test, train_residual
 from aerial_gym.sim2real.identify.least_squares.moments import block_moments, weights_from
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, LeftOut
@@ -114,7 +115,8 @@ def test_noise_is_not_learned(tmp_path: Path) -> None:
     learned, _ = learn(tmp_path, 0.0, seconds=4.0)
     assert learned.cfg is None
     assert learned.effect is None
-    assert "not added: takes at most" in learned.sentence
+    (found,) = learned.findings
+    assert (found.code, [row["code"] for row in found.values["objections"]]) == ("learned_refused", ["share_small"])
 
 
 def test_flights_without_velocity_and_a_robot_that_has_one_are_refused(tmp_path: Path) -> None:
@@ -126,7 +128,7 @@ def test_flights_without_velocity_and_a_robot_that_has_one_are_refused(tmp_path:
     with pytest.raises(ConfigError, match="already has a learned_residual"):
         train_residual(predictor, again, judge)
     predictor.flights = tuple(replace(f, lin_vel=None) for f in fit)
-    assert train_residual(predictor, declared_params(ROBOT), judge).objections == ("the flights have no velocity",)
+    assert train_residual(predictor, declared_params(ROBOT), judge).objections == (Finding("no_velocity"),)
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.selection.select import Rival
 from aerial_gym.sim2real.judge.ablation import Ablation, rejection, solid_below
 from aerial_gym.sim2real.judge.evaluation import gap_closed
@@ -70,15 +71,15 @@ def test_an_effect_is_material_if_the_interval_of_a_rise_shows_it(
 
 
 def test_the_note_of_an_effect_that_is_not_material_states_the_interval() -> None:
-    def notes(material: Ablation) -> list[str]:
+    def notes(material: Ablation) -> list[Finding]:
         return immaterial([SimpleNamespace(name="rotor_drag", ablation=material)])  # type: ignore[list-item]
 
     assert notes(worth((0.08, 0.06, 0.1), (0.0, 0.0, 0.0))) == []
     (note,) = notes(worth((0.09, -0.16, 0.37), (0.0, 0.0, 0.0)))
-    assert note.startswith("whether rotor_drag is material is not shown by the test flights")
-    assert "specific_force.y rises most, by 9.0% [-16.0%, +37.0%]" in note
+    assert (note.code, note.subject) == ("materiality_open", "rotor_drag")
+    assert note.values == {"channel": "specific_force.y", "rise": 0.09, "rise_low": -0.16, "rise_high": 0.37}
     (note,) = notes(worth((0.03, 0.02, 0.04), (0.0, 0.0, 0.0)))
-    assert note.startswith("rotor_drag is immaterial")
+    assert (note.code, note.subject, note.values["least"]) == ("effect_immaterial", "rotor_drag", 0.05)
 
 
 @pytest.mark.parametrize(
@@ -93,12 +94,12 @@ def test_an_effect_is_solid_up_to_the_first_octave_that_it_leaves_as_it_is(octav
 @pytest.mark.parametrize(
     ("log_odds", "wider", "because"),
     [
-        (-3.5, False, "less probable (log odds -3.5)"),
-        (-3.5, True, "less probable (log odds -3.5)"),
-        (1.0, True, "as probable, but it is a wider case of constant_wind"),
-        (-2.5, False, "not rejected: these flights cannot tell them apart"),
+        (-3.5, False, Finding("rival_less_probable", "wind_shear", {"log_odds": -3.5})),
+        (-3.5, True, Finding("rival_less_probable", "wind_shear", {"log_odds": -3.5})),
+        (1.0, True, Finding("rival_wider", "wind_shear", {"effect": "constant_wind"})),
+        (-2.5, False, Finding("rival_not_rejected", "wind_shear", {"effect": "constant_wind"})),
     ],
 )
-def test_why_a_rival_is_not_the_one_is_said(log_odds: float, wider: bool, because: str) -> None:
+def test_why_a_rival_is_not_the_one_is_said(log_odds: float, wider: bool, because: Finding) -> None:
     rival = Rival(effect="wind_shear", fitted=fitted("wind_shear"), log_odds=log_odds, wider=wider)
     assert rejection("constant_wind", rival) == because

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, Nuisance
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.judge.analysis import (
@@ -27,7 +28,7 @@ RANDOM = {"gusts": {"std": 1.5, "corr_time": 0.8}, "random_force": {"x": 0.1, "y
 FORCES = [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
 
 
-def notes_of(size: float, left: list[float]) -> list[str]:
+def notes_of(size: float, left: list[float]) -> list[Finding]:
     """Return the notes where the mass is off by ``size`` deviations, which leaves such forces in place of 0.2 m/s²."""
     deviation = np.zeros(len(names := Tolerances().names(4)))
     deviation[names.index("mass")] = size
@@ -43,17 +44,21 @@ def notes_of(size: float, left: list[float]) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("left", "said"),
+    ("left", "changed"),
     [
-        ([0.2, 0.1, 0.27], "are left specific force y 0.1 in place of 0.2 m/s², specific force z 0.27 in place of 0.2"),
-        ([0.2, 0.199, 0.201], "hardly anything changes on the test flights"),
+        ([0.2, 0.1, 0.27], {"specific_force.y": (0.1, 0.2), "specific_force.z": (0.27, 0.2)}),
+        ([0.2, 0.199, 0.201], {}),
     ],
 )
-def test_of_a_strained_tolerance_it_is_said_what_it_changes(left: list[float], said: str) -> None:
+def test_of_a_strained_tolerance_it_is_said_what_it_changes(
+    left: list[float], changed: dict[str, tuple[float, float]]
+) -> None:
     """Better and worse, and not what changes by less than is material; nothing where no tolerance is strained."""
     first, last = notes_of(4.0, left)
-    assert "mass to be off by +4.0" in first
-    assert said in last
+    assert first == Finding("tolerance_strained", "mass", {"deviation_std": 4.0})
+    assert last.code == ("strained_changes" if changed else "strained_changes_little")
+    found = {row["channel"]: (row["with_m_s2"], row["without_m_s2"]) for row in last.values.get("errors", ())}
+    assert found == {channel: pytest.approx(pair) for channel, pair in changed.items()}
     assert notes_of(2.0, left) == []
 
 
@@ -66,35 +71,31 @@ def logs(count: int, *, band: float) -> SimpleNamespace:
 
 
 @pytest.mark.parametrize(
-    ("count", "band", "said"),
+    ("count", "band", "told"),
     [
-        (3, 10.0, []),
-        (3, 10.0 - 1e-9, ["compared below 10 Hz: the slowest log has 50 rows per second"]),
-        (2, 10.0, ["only 2 training flights: intervals rest on blocks of time, not on the spread of flights"]),
-        (1, 5.0, ["compared below 5 Hz: the slowest", "only 1 training flights: intervals rest on blocks of time"]),
+        (3, 10.0, {}),
+        (3, 10.0 - 1e-9, {"band_limited": {"band_hz": 10.0 - 1e-9, "slowest_hz": 50.0}}),
+        (2, 10.0, {"few_flights": {"flights": 2}}),
+        (1, 5.0, {"band_limited": {"band_hz": 5.0, "slowest_hz": 50.0}, "few_flights": {"flights": 1}}),
     ],
 )
-def test_slow_logs_and_few_flights_are_told(count: int, band: float, said: list[str]) -> None:
+def test_slow_logs_and_few_flights_are_told(count: int, band: float, told: dict[str, dict]) -> None:
     """Three flights, compared as far as was asked, are worth no note."""
     found = about_logs(logs(count, band=band))  # type: ignore[arg-type]
-    assert len(found) == len(said)
-    assert all(text.startswith(start) for text, start in zip(found, said, strict=True))
+    assert {note.code: note.values for note in found} == told
 
 
 def test_channels_that_training_leaves_open_are_told_to_be_trained() -> None:
     open_to = SimpleNamespace(left_open=("specific_force.x", "angular_acceleration.z"))
     (note,) = open_notes(open_to)  # type: ignore[arg-type]
-    assert note.startswith("not shown: more than noise remains in specific_force.x, angular_acceleration.z of the test")
-    assert note.endswith("train on flights that move as the test flights do")
+    assert note == Finding("left_open_note", "", {"channels": ["specific_force.x", "angular_acceleration.z"]})
     assert open_notes(SimpleNamespace(left_open=())) == []  # type: ignore[arg-type]
 
 
 def test_an_effect_that_only_stands_in_for_a_structure_is_told_with_it() -> None:
     chosen = chosen_of(fitted(), surrogates={"thrust_coefficient": "time"})
     (note,) = surrogate_notes(selection_of(chosen))
-    assert note == (
-        "thrust_coefficient is not named: it only stands in for a part of what remains, whose structure (time) no effect has"
-    )
+    assert note == Finding("stands_in", "thrust_coefficient", {"structure": "time"})
     assert surrogate_notes(selection_of(chosen_of(fitted()))) == []
 
 
@@ -102,8 +103,9 @@ def test_offsets_that_each_flight_has_of_its_own_are_told_with_their_size() -> N
     """An offset of flights in the best set, none of a structure that follows the place."""
     own = Nuisance(kind=OF_FLIGHTS, channel="specific_force.x", columns=[], size=0.0123)
     (note,) = own_notes(selection_of(chosen_of(fitted(structures=(own, PLACE)))))
-    assert note.startswith(
-        "each flight has an offset of its own in specific_force.x 0.012 m/s² (rms): a sensor that warms"
+    assert (note.code, note.values) == (
+        "offsets_sizes",
+        {"offsets": [{"channel": "specific_force.x", "rms_m_s2": 0.0123}]},
     )
     assert own_notes(selection_of(chosen_of(fitted(structures=(PLACE,))))) == []
 

@@ -46,7 +46,7 @@ def test_the_table_marks_what_got_worse(parts: dict[str, list[Part]]) -> None:
     table = flight_table(verdict, ["specific_force"])  # type: ignore[arg-type]
     assert table["names"] == ["calm", "gusty"]
     (worse,) = table["worse"]
-    assert worse.startswith("specific force x by 30 %")
+    assert worse.startswith("specific force x +30.0%")
     assert worse.endswith("on calm")
     assert [row["quantity"] for row in table["rows"]] == [f"specific force {axis} [m/s²]" for axis in "xyz"]
     cells = table["rows"][0]["cells"]

@@ -5,44 +5,38 @@ from types import SimpleNamespace
 import pytest
 
 from aerial_gym.sim2real.judge import failed
-from aerial_gym.sim2real.judge.verdict import Verdict
 
 
 @pytest.mark.parametrize(
-    ("name", "params", "line"),
+    ("name", "params", "trains"),
     [
-        ("motor_failure", {"motor": 2.0, "scale": 0.5, "time": 3.0}, "motor_failure: {motor: 2, scale: 0.5, time: 3}"),
+        ("motor_failure", {"motor": 2.0, "scale": 0.5, "time": 3.0}, {"motor": 2.0, "scale": 0.5, "time": 3.0}),
         # A propeller that gives 0.81 of its thrust, as at 0.9 of its speed: the effect has no onset.
-        ("weak_motor", {"motor": 1.0, "scale": 0.81, "time": 4.0}, "motor_failure: {motor: 1, scale: 0.9, time: 4}"),
+        ("weak_motor", {"motor": 1.0, "scale": 0.81, "time": 4.0}, {"motor": 1.0, "scale": 0.9, "time": 4.0}),
     ],
 )
-def test_a_failure_of_one_flight_is_told_with_the_line_that_trains_with_it(
-    monkeypatch: pytest.MonkeyPatch, name: str, params: dict[str, float], line: str
+def test_a_failure_of_one_flight_is_noted_with_the_effect_that_trains_with_it(
+    monkeypatch: pytest.MonkeyPatch, name: str, params: dict[str, float], trains: dict[str, float]
 ) -> None:
-    found = SimpleNamespace(name=name, params=params, flight="f1", time=params["time"], sentence="rotor fails")
+    found = SimpleNamespace(name=name, params=params, flight="f1", time=params["time"])
     note = failed._how_to_train(found)  # type: ignore[arg-type]
-    assert note.startswith("f1 is compared up to its failure; that is not in robot.yaml, for not every flight has it: ")
-    assert note.endswith(f"add to effects: {line}")
-    before = SimpleNamespace(
-        verdict="none", effects=(), candidates=(), notes=("other",), reason="nothing", outcomes=(), failures=()
-    )
-    before.told_before = lambda told: Verdict.told_before(before, told)  # type: ignore[arg-type]
+    assert (note.code, note.subject, note.values["effect"]) == ("train_with_failure", "f1", "motor_failure")
+    assert note.values["params"] == pytest.approx(trains)
+    before = SimpleNamespace(verdict="none", effects=(), candidates=(), notes=("other",), failures=())
     monkeypatch.setattr(failed, "replace", lambda one, **changes: SimpleNamespace(**(vars(one) | changes)))
     told = failed._told(before, [found], None)  # type: ignore[arg-type]
     assert told.notes == (note, "other")
-    assert told.reason == "rotor fails; up to then: nothing"
-    assert told.verdict == "explained"
+    assert (told.verdict, told.failures) == ("explained", (found,))
 
 
 def test_what_looks_like_a_failure_is_noted_and_changes_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without --failures: one note more, with the flight and the odds; without a suspicion what was judged itself."""
-    found = SimpleNamespace(flight="f1", sentence="f1: rotor 2 follows half", log_odds=24.81)
+    """Without --failures: one note more, with the flight and the odds; without a suspicion the same result."""
+    event = SimpleNamespace(values={"failure": "motor_failure"})
+    found = SimpleNamespace(flight="f1", finding=event, log_odds=24.81)
     judged = SimpleNamespace(verdict=SimpleNamespace(verdict="none", notes=("other",)), corrected="robot")
     monkeypatch.setattr(failed, "replace", lambda one, **changes: SimpleNamespace(**(vars(one) | changes)))
     told = failed.with_suspicions(judged, [found])  # type: ignore[arg-type]
     assert (told.corrected, told.verdict.verdict, told.verdict.notes[0]) == ("robot", "none", "other")
-    assert told.verdict.notes[1].startswith(
-        "f1: rotor 2 follows half: so it looks beside the declared vehicle (log odds 24.8)"
-    )
-    assert "--failures compares f1 up to there" in told.verdict.notes[1]
+    note = told.verdict.notes[1]
+    assert (note.code, note.subject, note.values["log_odds"]) == ("failure_suspected", "f1", 24.81)
     assert failed.with_suspicions(judged, []) is judged  # type: ignore[arg-type]

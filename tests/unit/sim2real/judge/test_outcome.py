@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from aerial_gym.sim2real.judge.outcome import Outcome, meaning, said_first
+from aerial_gym.sim2real.judge.outcome import Outcome
 from aerial_gym.sim2real.statistics import Rise, rise_with_interval
 
 
-def outcome(about: str, value: float, low: float, high: float, where: str = "") -> Outcome:
-    return Outcome(name=about + where, about=about, where=where, rise=Rise(value=value, low=low, high=high), least=0.05)
+def outcome(quantity: str, value: float, low: float, high: float, horizon: float | None = None) -> Outcome:
+    return Outcome(quantity=quantity, horizon=horizon, rise=Rise(value=value, low=low, high=high), least=0.05)
 
 
 @pytest.mark.parametrize(
@@ -29,44 +29,9 @@ def test_a_change_is_called_what_its_interval_shows(rise: tuple, state: str, sus
     assert (found.state, found.suspect) == (state, suspect)
 
 
-def test_what_gets_worse_is_said_with_size_and_interval_the_largest_first_and_no_horizon_twice() -> None:
-    found = [
-        outcome("angular acceleration z", 0.62, 0.4, 0.9),
-        outcome("specific force x", -0.5, -0.6, -0.4),
-        outcome("velocity of the rollout", 0.1, 0.06, 0.2, " after 0.5 s"),
-        outcome("velocity of the rollout", 0.28, 0.1, 0.5, " after 1 s"),
-        outcome("rotor speed 1", 0.09, -0.16, 0.37),
-    ]
-    said = said_first(found)
-    assert said == (
-        "worse on the test flights: angular acceleration z by 62 % [+40, +90], velocity of the rollout after 1 s by 28 % "
-        "[+10, +50]; perhaps worse, these flights cannot tell: rotor speed 1 by 9 % [-16, +37]"
-    )
-    text = meaning("unexplained", found)
-    assert "helps in specific force x" in text
-    assert text.startswith(
-        "The correction makes angular acceleration z, velocity of the rollout worse: keep the declared"
-    )
-    assert said_first([found[1]]) == ""
-    assert "worse" not in meaning("explained", [found[1]])
-
-
-def test_what_one_horizon_makes_worse_and_another_better_is_told_with_its_horizon() -> None:
-    found = [
-        outcome("velocity of the rollout", 0.3, 0.1, 0.5, " after 0.1 s"),
-        outcome("velocity of the rollout", -0.2, -0.3, -0.1, " after 2 s"),
-        outcome("position of the rollout", -0.2, -0.3, -0.1, " after 1 s"),
-        outcome("position of the rollout", -0.2, -0.3, -0.1, " after 2 s"),
-    ]
-    text = meaning("explained", found)
-    assert text.startswith("The correction makes velocity of the rollout after 0.1 s worse: ")
-    assert text.endswith("The correction helps in velocity of the rollout after 2 s, position of the rollout.")
-
-
-@pytest.mark.parametrize("kind", ["explained", "none", "unexplained", "ambiguous"])
-def test_no_verdict_says_that_a_correction_helps_which_does_not(kind: str) -> None:
-    assert "helps in" not in meaning(kind, [])
-    assert "helps in" not in meaning(kind, [outcome("specific force x", 0.62, 0.4, 0.9)])
+def test_an_outcome_of_a_rollout_has_its_horizon_in_its_name() -> None:
+    assert outcome("specific_force.x", 0.1, 0.0, 0.2).name == "specific_force.x"
+    assert outcome("free.velocity", 0.1, 0.0, 0.2, 0.5).name == "free.velocity.0.5"
 
 
 def test_an_interval_over_flights_holds_where_flights_differ() -> None:

@@ -56,7 +56,8 @@ def test_an_offset_is_undone(offset: float) -> None:
     assert moved.specific_force is not None
     assert moved.time.size == TIME.size - np.ceil(abs(offset))
     np.testing.assert_allclose(moved.specific_force[:, 0] - moved.rotor_speed[:, 0], offset, atol=1e-9)
-    assert f"{5.0 * offset:.3g} ± 0.98 ms" in moved.notes[-1]
+    lead = {"lead_ms": pytest.approx(5.0 * offset), "half_width_ms": pytest.approx(0.98), "with_commands": True}
+    assert (moved.notes[-1].code, moved.notes[-1].values) == ("rotor_log_moved", lead)
 
 
 @pytest.mark.parametrize("offset", [-4, 4])
@@ -83,9 +84,9 @@ def test_commands_move_with_the_rotor_log_only_if_a_lag_says_so(
     inner = slice(20, moved.time.size - 20)
     row = np.round(moved.time * RATE).astype(int)
     np.testing.assert_allclose(moved.rotor_command[inner, 0], command[row][inner])
-    lead = f"{1e3 * offset / RATE:.3g} ± {1.96 * 0.1 * 1e3 / RATE:.2g} ms"
-    other = "" if together else "; commands do not and stay"
-    assert moved.notes == (f"rotor log leads the other sensors by {lead} and was moved back{other}",)
+    (note,) = moved.notes
+    lead = {"lead_ms": pytest.approx(1e3 * offset / RATE), "half_width_ms": pytest.approx(196.0 / RATE)}
+    assert (note.code, note.values) == ("rotor_log_moved", {**lead, "with_commands": together})
 
 
 def test_all_logs_of_a_logger_move_their_commands_or_none() -> None:

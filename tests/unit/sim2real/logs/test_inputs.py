@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.inputs import LEFT_OUT, read_inputs
+from aerial_gym.sim2real.logs.inputs import read_inputs
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 
@@ -30,8 +30,9 @@ def test_a_flight_that_cannot_be_used_is_left_out_and_said_so(logs: list[Path]) 
     found = read_inputs(ROBOT, logs[:3], logs[3:], mapping=None, bandwidth=10.0)
     assert [one.name for one in found.train] == ["f0", "f2"]
     assert [one.name for one in found.test] == ["f3"]
-    (sentence,) = found.left_out
-    assert sentence.startswith(f"{LEFT_OUT}{logs[1]}, line 102: omega_y is empty")
+    (note,) = found.left_out
+    assert note.code == "flight_left_out"
+    assert note.values["error"].startswith(f"{logs[1]}, line 102: omega_y is empty")
     assert found.digests == {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in logs}
 
 
@@ -41,7 +42,7 @@ def test_a_flight_that_turns_otherwise_than_declared_is_left_out_too(logs: list[
     write(table.rename(columns={"rotor_1": "rotor_2", "rotor_2": "rotor_1"}), logs[0])
     found = read_inputs(ROBOT, logs[:3], logs[3:], mapping=None, bandwidth=10.0)
     assert [one.name for one in found.train] == ["f1", "f2"]
-    assert "rotors in their order are rotor_2, rotor_1" in found.left_out[0]
+    assert "rotors in their order are rotor_2, rotor_1" in found.left_out[0].values["error"]
 
 
 def test_a_run_that_has_no_flight_left_says_why(logs: list[Path]) -> None:

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.repeated_samples import mend_repeated_samples
@@ -44,7 +45,12 @@ def test_a_good_log_stays_as_it_is(table: pd.DataFrame, tmp_path: Path) -> None:
 def test_a_slow_sensor_becomes_straight_lines_between_its_values(table: pd.DataFrame, tmp_path: Path) -> None:
     """A gyro of 50 Hz in a log of 200 Hz: every fourth row is as it was, those between lie on the lines."""
     log = mended(frozen(table, GYRO, np.setdiff1d(np.arange(1, len(table)), np.arange(0, len(table), 4))), tmp_path)
-    assert any("ang_vel comes only 50 times per second (the log has 200 rows)" in note for note in log.notes)
+    (note,) = (note for note in log.notes if note.values.get("sensor") == "ang_vel")
+    assert (note.code, note.values["rate_hz"], note.values["log_rate_hz"]) == (
+        "samples_slow",
+        pytest.approx(50.0, rel=1e-3),
+        pytest.approx(200.0, rel=1e-3),
+    )
     assert log.ang_vel is not None
     true = table[GYRO].to_numpy()
     np.testing.assert_allclose(log.ang_vel[::4], true[::4], atol=1e-9)
@@ -54,8 +60,8 @@ def test_a_slow_sensor_becomes_straight_lines_between_its_values(table: pd.DataF
 def test_late_packets_are_bridged_and_counted(table: pd.DataFrame, tmp_path: Path) -> None:
     late = np.flatnonzero(np.random.default_rng(0).random(len(table)) < 0.05)
     log = mended(frozen(table, ATTITUDE, late[late > 0]), tmp_path)
-    note = next(note for note in log.notes if note.startswith("attitude"))
-    assert "late packets; straight lines" in note
+    note = next(note for note in log.notes if note.values.get("sensor") == "attitude")
+    assert note.code == "samples_repeated"
     fresh = np.setdiff1d(np.arange(len(table)), late)
     signs = np.sign((log.attitude[fresh] * table[ATTITUDE].to_numpy()[fresh]).sum(axis=1, keepdims=True))
     np.testing.assert_allclose(log.attitude[fresh] * signs, table[ATTITUDE].to_numpy()[fresh], atol=1e-9)
@@ -98,7 +104,7 @@ def test_copies_of_a_row_are_left_out(table: pd.DataFrame, tmp_path: Path) -> No
     twice = pd.concat((table[:100], table[99:100], table[100:]))
     log = read_flight_log(write(twice, tmp_path / "a.csv"))
     assert log.time.size == len(table)
-    assert log.notes == ("1 rows that are copies of an earlier one, time included, were left out",)
+    assert log.notes == (Finding("rows_copied", "", {"rows": 1}),)
 
 
 def test_a_pose_that_repeats_all_along_a_short_log_is_said(table: pd.DataFrame, tmp_path: Path) -> None:
@@ -107,4 +113,4 @@ def test_a_pose_that_repeats_all_along_a_short_log_is_said(table: pd.DataFrame, 
     short[["v_x", "v_y", "v_z"]] *= 0.11 / np.abs(short[["v_x", "v_y", "v_z"]].to_numpy()).max()
     short[["p_x", "p_y", "p_z"]] = short[["p_x", "p_y", "p_z"]].to_numpy()[0]
     log = mended(short, tmp_path)
-    assert any("position repeats its value" in note for note in log.notes)
+    assert ("samples_repeated", "position") in [(note.code, note.values.get("sensor")) for note in log.notes]

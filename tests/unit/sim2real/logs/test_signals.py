@@ -86,7 +86,7 @@ def test_jitter_is_resampled_and_commands_stay_held() -> None:
     assert found.rotor_command is not None
     np.testing.assert_allclose(found.position[:, 1], 2.0 * found.time, atol=1e-12)
     assert set(np.unique(found.rotor_command)) == {100.0, 300.0}
-    assert "resampled" in found.notes[0]
+    assert found.notes[0].code == "steps_resampled"
     with pytest.raises(DataError, match=r"0\.5 s after the row before, where 0\.01 s are usual; cut the log there"):
         uniform_log(log(np.delete(np.arange(0.0, 4.0, 0.01), np.arange(100, 149))))
 

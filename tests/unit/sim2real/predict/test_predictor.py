@@ -16,6 +16,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.rigid_body import Acting, acting_in
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.testable import lacks
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise, normal_equations
@@ -374,7 +375,7 @@ def test_missing_sensors_are_derived_or_left_out(tmp_path: Path) -> None:
         uniform_log(read_flight_log(write(table[[*rest, "omega_x", "omega_y", "omega_z"]], tmp_path / "b.csv")))
     )
     assert bare.lin_vel is None  # derived only by load_flights
-    assert bare.notes == ("neither velocity nor position: drag is predicted as if the vehicle stood still",)
+    assert bare.notes == (Finding("velocity_unknown"),)
     poor = table[[*rest, "acc_x", "acc_y", "acc_z"]]
     found = load_flights([write(poor, tmp_path / "c.csv")], ROBOT, mapping=None, bandwidth=BAND)[0]
     assert not found.gyro
@@ -383,11 +384,10 @@ def test_missing_sensors_are_derived_or_left_out(tmp_path: Path) -> None:
     inner = slice(100, -100)
     np.testing.assert_allclose(found.lin_vel[inner], full.lin_vel[inner], atol=0.01)
     np.testing.assert_allclose(found.ang_vel[inner], full.ang_vel[inner], atol=0.02)
-    assert any("velocity derived from position" in note for note in found.notes)
-    assert any(note.startswith("angular velocity derived from attitude; ") for note in found.notes)
+    assert {"velocity_derived", "rates_derived"} <= {note.code for note in found.notes}
     forces = [column for column in table if not column.startswith("acc_")]
     found = load_flights([write(table[forces], tmp_path / "d.csv")], ROBOT, mapping=None, bandwidth=BAND)[0]
-    assert found.notes == ("specific force derived from velocity",)
+    assert found.notes == (Finding("force_derived"),)
 
 
 def test_tolerances_change_what_they_say() -> None:
@@ -681,10 +681,8 @@ def test_a_tolerance_that_strains_is_told_by_its_name() -> None:
     assert tolerances.strained(deviation) == []
     deviation[[0, 6, size - 1]] = 3.4, -4.0, 3.1
     notes = tolerances.strained(deviation)
-    for name, asked, note in zip(("mass", "thrust_6", "joint_rest"), ("+3.4", "-4.0", "+3.1"), notes, strict=True):
-        assert f"the flights ask for {name} to be off by {asked} standard deviations" in note
-    assert "declare it anew" in notes[0]
-    assert "declare it anew" not in notes[2]
+    asked = {"mass": 3.4, "thrust_6": -4.0, "joint_rest": 3.1}
+    assert notes == [Finding("tolerance_strained", name, {"deviation_std": size}) for name, size in asked.items()]
 
 
 def test_a_deviation_that_was_cut_off_or_of_what_is_not_there_is_no_finding() -> None:
@@ -700,10 +698,11 @@ def test_a_deviation_that_was_cut_off_or_of_what_is_not_there_is_no_finding() ->
     ):
         deviation[names.index(name)] = size
     notes = tolerances.strained(deviation, absent={"nominal_voltage", "joint_rest"}, farthest=5.0)
-    assert len(notes) == 2
-    assert "the flights ask for mass to be off by +3.5" in notes[0]
-    assert notes[1].startswith("inertia_x, com_y: cut off at 5 standard deviations")
-    assert "declare" not in notes[1]
+    cut = {"tolerances": ["inertia_x", "com_y"], "deviation_std": 5.0}
+    assert notes == [
+        Finding("tolerance_strained", "mass", {"deviation_std": 3.5}),
+        Finding("tolerances_cut_off", "", cut),
+    ]
 
 
 def test_forces_derived_from_the_velocity_have_no_errors_of_an_accelerometer(tmp_path: Path) -> None:
@@ -720,10 +719,10 @@ def test_forces_derived_from_the_velocity_have_no_errors_of_an_accelerometer(tmp
     channels = find_channels([found])
     for place, channel in enumerate(channels):
         assert np.any(np.abs(moved[:, place]) > 1e-6) == (channel.kind != "specific_force"), channel.name
-    assert lacks("imu_bias", ROBOT, [found]) == ""
+    assert lacks("imu_bias", ROBOT, [found]) is None
     without = replace(found, gyro=False)
-    assert "no inertial sensor" in lacks("imu_bias", ROBOT, [without])
-    assert "no inertial sensor" in lacks("imu_misalignment", ROBOT, [without])
+    for name in ("imu_bias", "imu_misalignment"):
+        assert lacks(name, ROBOT, [without]) == Finding("no_inertial_sensor", name)
 
 
 @pytest.mark.slow

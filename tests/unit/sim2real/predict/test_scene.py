@@ -9,6 +9,7 @@ import torch
 
 from aerial_gym.errors import CapabilityError, DataError
 from aerial_gym.physics import BACKENDS, build_model, vehicle_from_config
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.in_memory import judge_flights
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
@@ -115,11 +116,10 @@ def test_a_rollout_feels_what_is_around(effect: str) -> None:
 
 def test_what_the_logs_do_not_tell_is_said() -> None:
     flights = [hover("a", 1.0, ceiling_height=3.0), hover("b", 1.0)]
-    assert lacks_of_scene("ceiling_effect", flights[:1]) == ""
-    assert lacks_of_scene("ceiling_effect", flights).startswith(
-        "b: without the height of the ceiling (column ceiling_z"
-    )
-    assert lacks_of_scene("downwash", flights).startswith("all logs: without the position of the other vehicle")
+    assert lacks_of_scene("ceiling_effect", flights[:1]) is None
+    ceiling, other = (lacks_of_scene(name, flights) for name in ("ceiling_effect", "downwash"))
+    assert ceiling == Finding("logs_lack", "ceiling_effect", {"flights": "b", "need": "ceiling_height"})
+    assert other == Finding("logs_lack", "downwash", {"flights": "all logs", "need": "other_position"})
     declares = replace(NEAR, effects={"ceiling_effect": {"k": 1.0}})
     message = "declares ceiling_effect, but the flights do not tell it: b: without the height"
     with pytest.raises(DataError, match=message):

@@ -4,26 +4,28 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.judge.outcome import Outcome
 from aerial_gym.sim2real.judge.verdict import NamedEffect
 from aerial_gym.sim2real.report.tables import became_rows, named_rows, reason_rows, unnamed_rows
 from aerial_gym.sim2real.statistics import Rise
+from aerial_gym.sim2real.wording import text
 from tests.unit.sim2real.fitted_sets import chosen_of, fitted, selection_of
 
 
-def outcome(about: str, value: float, low: float, high: float, where: str = "") -> Outcome:
-    return Outcome(name=about, about=about, where=where, rise=Rise(value=value, low=low, high=high), least=0.05)
+def outcome(quantity: str, value: float, low: float, high: float, horizon: float | None = None) -> Outcome:
+    return Outcome(quantity=quantity, horizon=horizon, rise=Rise(value=value, low=low, high=high), least=0.05)
 
 
 def test_every_channel_is_told_once_with_what_became_of_it() -> None:
     found = (
-        outcome("specific force x", -0.51, -0.6, -0.4),
-        outcome("specific force y", 0.0, -0.01, 0.01),
-        outcome("specific force z", 0.2, 0.1, 0.3),
-        outcome("rotor speed 1", -0.87, -0.9, -0.8),
-        outcome("rotor speed 2", -0.86, -0.9, -0.8),
-        outcome("angular acceleration x", 0.1, -0.1, 0.4),
-        outcome("velocity of the rollout", 0.5, 0.4, 0.6, " after 1 s"),  # no channel
+        outcome("specific_force.x", -0.51, -0.6, -0.4),
+        outcome("specific_force.y", 0.0, -0.01, 0.01),
+        outcome("specific_force.z", 0.2, 0.1, 0.3),
+        outcome("rotor_speed.1", -0.87, -0.9, -0.8),
+        outcome("rotor_speed.2", -0.86, -0.9, -0.8),
+        outcome("angular_acceleration.x", 0.1, -0.1, 0.4),
+        outcome("free.velocity", 0.5, 0.4, 0.6, 1.0),  # no channel
     )
     assert became_rows(SimpleNamespace(outcomes=found)) == {  # type: ignore[arg-type]
         "worse": "specific force z (+20%)",
@@ -74,9 +76,9 @@ def test_every_effect_that_is_not_named_has_a_reason() -> None:
         },
         surrogates={"weak_motor": "time"},
         immaterial={"motor_tilt": {"specific_force.x": rise}},
-        refused={"imu_bias": "runs into its physical bound: x"},
+        refused={"imu_bias": Finding("at_bound", "imu_bias", {"parameters": ["ax"]})},
     )
-    rows = unnamed_rows(selection_of(chosen, not_testable={"downwash": "no position of another"}))
+    rows = unnamed_rows(selection_of(chosen, not_testable={"downwash": Finding("acts_on_links", "downwash")}))
     assert [(row["effect"], row["log_odds"], row["probability"]) for row in rows] == [
         ("weak_motor", "9.0", "–"),
         ("motor_tilt", "5.0", "–"),
@@ -85,11 +87,12 @@ def test_every_effect_that_is_not_named_has_a_reason() -> None:
         ("payload_mass", "-3.0", "–"),
         ("downwash", "–", "–"),
     ]
-    assert [row["because"] for row in rows] == [
-        "only stands in for what remains, which follows time",
-        "a trifle: no residual of the training flights rises by more than 2.0% without it",
-        "promised where it is linear, not held when fitted",
-        "runs into its physical bound: x",
-        "less probable than not",
-        "no position of another",
+    expected = [
+        Finding("follows_structure", "weak_motor", {"structure": "time"}),
+        Finding("trifle", "motor_tilt", {"rise": 0.02}),
+        Finding("only_linear", "com_offset"),
+        Finding("at_bound", "imu_bias", {"parameters": ["ax"]}),
+        Finding("less_probable", "payload_mass"),
+        Finding("acts_on_links", "downwash"),
     ]
+    assert [row["because"] for row in rows] == [text(finding) for finding in expected]

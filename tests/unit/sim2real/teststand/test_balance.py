@@ -13,6 +13,7 @@ from scipy import integrate, stats
 from aerial_gym.cli.main import main
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.robots.catalog import ROBOTS
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.teststand.balance import (
@@ -265,12 +266,12 @@ def test_a_weight_at_a_hub_and_a_propeller_of_more_drag_tie_until_the_vehicle_is
         "ambiguous",
         ("payload_mass + com_offset", "weak_motor 3 + torque_ratio"),
     )
-    assert "--added-mass-kg" in found.tell_apart[0]
+    assert found.tell_apart[0] == Finding("weigh_vehicle")
     weighed = judged(5, ratio, added_mass=0.0)
     assert (weighed.verdict, weighed.candidates) == ("explained", ("weak_motor 3 + torque_ratio",))
     heavy = judged(5, ratio, added_mass=0.1 * MASS)
     assert (heavy.verdict, heavy.candidates) == ("explained", ("com_offset",))
-    assert any("0.0027 kg more" in note for note in heavy.notes)
+    assert Finding("mass_added", "", {"added_kg": 0.0027}) in heavy.notes
 
 
 def test_weak_propellers_are_named_and_their_share_covered() -> None:
@@ -294,7 +295,7 @@ def test_a_change_that_the_test_does_not_show_is_unexplained() -> None:
     assert judge_balance(baseline, payload, robot=ROBOT, test=payload).candidates == ("payload_mass",)
     assert judge_balance(baseline, payload, robot=ROBOT, test=even).verdict == "unexplained"
     late = judge_balance(baseline, even, robot=ROBOT, test=payload)
-    assert (late.verdict, late.notes[-1][:34]) == ("unexplained", "the flights differ from the logs t")
+    assert (late.verdict, late.notes[-1].code) == ("unexplained", "flights_differ")
     twice = judge_balance(baseline, [*payload, *hovers(rng, "flight", 1, np.full(4, 1.1), 0.3)], robot=ROBOT)
     assert twice.candidates == ("payload_mass",)
     assert all(fit.judged is not None for fit in twice.fits)
@@ -318,13 +319,13 @@ def test_something_else_and_nothing_are_weighed_beside_the_candidates() -> None:
     assert sum(probability.values()) == pytest.approx(1.0)
     assert probability["none"] < 1e-4
     assert found.candidates == ("weak_motor 3",)
-    assert found.notes[-1] == f"something else: probability {probability['something else']:.2g}"
+    assert found.notes[-1] == Finding("other_cause", "", {"probability": probability["something else"]})
 
 
 def test_few_repeats_exclude_nothing() -> None:
     found = judged(9, np.array([1.0, 1.0, 1.5, 1.0]), conditions=2)
     assert (found.verdict, len(found.candidates), found.fits) == ("ambiguous", 12, ())
-    assert any("known from 3 repeats" in note for note in found.notes)
+    assert 3 in [note.values["repeats"] for note in found.notes if note.code == "scatter_unknown"]
     assert found.shares[2].change.value > 0.05
     rng = np.random.default_rng(9)
     one = hovers(rng, "normal", 1, np.ones(4))
@@ -362,9 +363,9 @@ def test_conditions_are_names_without_their_last_number() -> None:
 
 def test_what_tells_candidates_apart() -> None:
     assert tell_apart(("weak_motor 3",)) == []
-    assert "another propeller" in tell_apart(("weak_motor 1", "weak_motor 3"))[0]
-    assert "gyro" in tell_apart(("com_offset", "weak_motor 3"))[0]
-    assert "weigh" in tell_apart(("com_offset", "payload_mass"))[0]
+    assert tell_apart(("weak_motor 1", "weak_motor 3"))[0].code == "swap_propeller"
+    assert tell_apart(("com_offset", "weak_motor 3"))[0].code == "turn_with_gyro"
+    assert tell_apart(("com_offset", "payload_mass"))[0].code == "weigh_vehicle"
 
 
 def test_vehicles_that_the_balance_does_not_settle_are_refused() -> None:

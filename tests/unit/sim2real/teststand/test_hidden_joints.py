@@ -102,7 +102,7 @@ def test_what_cannot_be_found_so_is_refused_by_name(tmp_path: Path) -> None:
     drive = DriveCfg(mode="effort", limit=1.0, command_range=(-1.0, 1.0))
     first = replace(plain.joints.layout[0], spring=None, drive=drive)
     driven = replace(plain, joints=replace(plain.joints, layout=(first, *plain.joints.layout[1:])))
-    with pytest.raises(ConfigError, match="without logged angles all joints are needed, and arm0: has a drive"):
+    with pytest.raises(ConfigError, match="without logged angles all joints are needed, and arm0 has a drive"):
         fit_hidden_joints(driven, [ride], bandwidth=BAND)
     with pytest.raises(ConfigError, match="this robot has no joints"):
         fit_hidden_joints(ROBOTS.get("base_quadrotor"), [ride], bandwidth=BAND)
@@ -147,13 +147,18 @@ def test_the_loop_names_joints_beside_effects(tmp_path: Path) -> None:
         flight(HIDDEN, seed, seconds=8.0).to_csv(path, index=False)
     declared, out = tmp_path / "robot.yaml", tmp_path / "out"
     verdict = close_loop(declared, paths[:2], paths[2:], out, effects=("rotor_drag",), joints=True)
-    assert verdict.reason.startswith("joint arm0: stiffness 0.9 in place of 1.2; joint arm1: ")
+    assert [(one.code, one.subject) for one in verdict.joint_findings][:2] == [
+        ("joint_found", "arm0"),
+        ("joint_found", "arm1"),
+    ]
+    assert verdict.joint_findings[0].values["numbers"][0]["declared"] == 1.2
     told = json.loads((out / "verdict.json").read_text())
     assert [joint["name"] for joint in told["joints"] if joint["changed"]] == ["arm0", "arm1", "arm2"]
     springs = [joint.spring for joint in load_robot(out / "robot.yaml").joints.layout]  # type: ignore[union-attr]
     assert springs[0].stiffness == pytest.approx(0.9, rel=0.01)  # type: ignore[union-attr]
-    assert "said of the vehicle as a rigid one" in told["meaning"]
-    assert sum(note.startswith("joint arm") and "before" in note for note in told["notes"]) == 4
+    codes = [one["code"] for one in told["findings"]]
+    assert codes[0] == "joint_found"
+    assert codes.count("joint_effort") == 4
     for report in ("report.md", "report.html"):
         page = (out / report).read_text()
         assert "Joints, fitted to the training flights" in page

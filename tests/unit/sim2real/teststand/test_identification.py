@@ -206,9 +206,9 @@ def test_a_speed_sensor_that_does_not_read_is_left_out_and_tests_are_told_apart(
     table.iloc[5, 0] = 0.0
     fits, left_out = fit_static(bench(table, tmp_path))
     assert [fit.speed.size for fit in fits] == [23, 24]
-    assert fits[0].notes == ("1 rows with thrust at speed 0 left out: the speed sensor did not read",)
+    assert [(note.code, note.values) for note in fits[0].notes] == [("rows_without_speed", {"rows": 1})]
     assert len(left_out) == 1
-    assert "test c: thrust at the highest speed is -1 N" in left_out[0]
+    assert "test c: thrust at the highest speed is -1 N" in left_out[0].values["error"]
 
 
 @pytest.mark.parametrize(("error", "tau", "slew"), [(800.0, 0.05, 1e9), (800.0, 0.03, 9e3), (-800.0, 0.03, 9e3)])
@@ -444,13 +444,15 @@ def test_without_an_accelerometer_the_weight_over_the_cosine_of_the_tilt_is_take
     tilted = np.tile([np.sin(0.05), 0.0, 0.0, np.cos(0.05)], (log.time.size, 1))
     fit = fit_hover([replace(log, attitude=tilted, specific_force=None)], mass=0.045)
     assert fit.force == pytest.approx(9.80665 / np.cos(0.1), rel=1e-3)
-    assert "no accelerometer" in fit.notes[0]
+    assert fit.notes[0].code == "thrust_from_gravity"
 
 
 def test_a_flight_that_does_not_hover_is_refused_by_name() -> None:
     with pytest.raises(DataError, match=r"hover4.csv: hovers for 0 windows"):
         fit_hover([hover(4, drift=1.0)], mass=0.045)
-    assert fit_hover([hover(4, drift=1.0), hover(5)], mass=0.045).notes[0].startswith("left out: hover4.csv")
+    note = fit_hover([hover(4, drift=1.0), hover(5)], mass=0.045).notes[0]
+    assert note.code == "flight_left_out"
+    assert note.values["error"].startswith("hover4.csv")
     with pytest.raises(ConfigError, match=r"mass = -1"):
         fit_hover([hover(5)], mass=-1.0)
 

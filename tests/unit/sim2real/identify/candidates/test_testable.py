@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.testable import at_bounds, lacks
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from tests.unit.sim2real.flat_flights import ROBOT
@@ -16,10 +17,10 @@ def test_what_torques_tell_is_not_looked_for_where_none_are_compared(name: str) 
     """A log without torques among others is enough, one of the test flights as well; forces have their own effects."""
     whole = hover("a", 5.0)
     without = replace(whole, gyro=False)
-    assert lacks(name, ROBOT, [whole], [whole]) == ""
+    assert lacks(name, ROBOT, [whole], [whole]) is None
     for train, test in (([whole, without], [whole]), ([whole], [without])):
-        assert "torques are not compared" in lacks(name, ROBOT, train, test)
-    assert lacks("rotor_drag", ROBOT, [without]) == ""
+        assert lacks(name, ROBOT, train, test) == Finding("torques_not_compared", name)
+    assert lacks("rotor_drag", ROBOT, [without]) is None
 
 
 @pytest.mark.parametrize("name", ["motor_time_constant", "motor_asymmetry"])
@@ -29,21 +30,23 @@ def test_a_lag_is_not_looked_for_in_commands_logged_more_slowly_than_rotors_foll
     slow, quick = (
         replace(flight, rate=rate, rotor_command=np.full((flight.num_rows, 4), 900.0)) for rate in (25.0, 50.0)
     )
-    assert lacks(name, ROBOT, [quick]) == ""
-    assert "commands are logged every 40 ms and the declared rotors follow within 40 ms" in lacks(
-        name, ROBOT, [quick, slow]
-    )
-    assert lacks("actuation_delay", ROBOT, [slow]) == lacks("thrust_coefficient", ROBOT, [slow]) == ""
-    assert lacks(name, ROBOT, [replace(slow, rotor_command=None)]) == ""
+    assert lacks(name, ROBOT, [quick]) is None
+    found = lacks(name, ROBOT, [quick, slow])
+    assert found is not None
+    assert (found.code, found.values) == ("commands_too_coarse", pytest.approx({"row_ms": 40.0, "lag_ms": 40.0}))
+    assert lacks("actuation_delay", ROBOT, [slow]) is lacks("thrust_coefficient", ROBOT, [slow]) is None
+    assert lacks(name, ROBOT, [replace(slow, rotor_command=None)]) is None
 
 
 @pytest.mark.parametrize("name", ["rotor_drag", "h_force_flapping", "axial_inflow", "constant_wind"])
 def test_what_air_does_is_not_looked_for_where_the_speed_through_it_is_unknown(name: str) -> None:
     """Hubs move as a vehicle turns, and that alone would fit them a coefficient."""
     whole = hover("a", 5.0)
-    assert lacks(name, ROBOT, [whole]) == ""
-    assert "without velocity or position" in lacks(name, ROBOT, [whole, replace(whole, lin_vel=None)])
-    assert lacks("thrust_coefficient", ROBOT, [replace(whole, lin_vel=None)]) == ""
+    assert lacks(name, ROBOT, [whole]) is None
+    found = lacks(name, ROBOT, [whole, replace(whole, lin_vel=None)])
+    assert found is not None
+    assert (found.code, found.values["need"]) == ("logs_lack", "lin_vel")
+    assert lacks("thrust_coefficient", ROBOT, [replace(whole, lin_vel=None)]) is None
 
 
 def test_a_parameter_that_ends_where_physics_does_is_told() -> None:

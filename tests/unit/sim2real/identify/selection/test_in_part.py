@@ -60,7 +60,8 @@ def test_an_inertia_about_yaw_may_as_well_be_a_torque_ratio(fitter: Fitter) -> N
     assert one.other == "torque_ratio"
     assert one.params["scale"] == pytest.approx(1.0 / 1.6, rel=0.05)
     assert abs(one.log_odds) < LEAST_SCORE
-    assert one.sentence.startswith("sz of inertia_error may as well be torque_ratio (scale 0.6")
+    assert (one.finding.code, one.finding.subject) == ("parameter_tied", "inertia_error")
+    assert (one.finding.values["parameter"], one.finding.values["other"]) == ("sz", "torque_ratio")
     assert one.as_mapping()["effect"] == "torque_ratio"
     assert ("inertia_error", "sx") not in found
 

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from scipy import integrate
 
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
+from aerial_gym.sim2real.judge.decision import Decision
 from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, declared_wind, find_random_wind, wind_response
 from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
     Series,
@@ -98,17 +100,17 @@ def test_wind_alone_raises_no_objection_and_is_no_noise() -> None:
     ("reason", "change"),
     [
         (
-            "has a line at one frequency",
+            "line",
             lambda f: 0.3 * np.sin(2.0 * np.pi * 3.1 * TIME + f)[:, None] * [1.0, 0.0, 0.0],
         ),
-        ("differs between the axes", lambda f: drawn(np.random.default_rng(9 + f), TIME, 3.0, 1.0) * [1.0, 0.0, 0.0]),
-        ("differs between the flights", lambda f: (f == 2) * drawn(np.random.default_rng(9), TIME, 4.0, 1.0)),
+        ("axes", lambda f: drawn(np.random.default_rng(9 + f), TIME, 3.0, 1.0) * [1.0, 0.0, 0.0]),
+        ("flights", lambda f: (f == 2) * drawn(np.random.default_rng(9), TIME, 4.0, 1.0)),
         (
-            "is not distributed as a random wind",
+            "shape",
             lambda f: 6.0 * (np.abs(TIME - 4.0 - f) < 0.06)[:, None] * [1.0, 1.0, 1.0],
         ),
         (
-            "remembers otherwise than by one correlation time",
+            "memory",
             lambda f: 3.0 * np.sin(np.outer(2.0 * TIME, [1.0, 1.3, 1.7]) + 5.0 * np.sin(0.7 * TIME + f)[:, None]),
         ),
     ],
@@ -122,7 +124,7 @@ def test_a_force_that_follows_a_feature_is_told_apart() -> None:
     wind = series(seed=5)
     moved = [w + 0.6 * x[:, :1] * [1.0, 0.0, 0.0] for w, x in zip(wind.wind, wind.features["position"], strict=True)]
     wind = replace(wind, wind=moved)
-    assert p_values_of_rivals(wind, fit_process(wind))["follows position"] < 0.001
+    assert p_values_of_rivals(wind, fit_process(wind))["position"] < 0.001
 
 
 DRAGGED = ModelParams(effects={"rotor_drag": np.array([0.3, 0.24, 0.18])})
@@ -174,26 +176,25 @@ def test_a_wind_is_seen_through_the_drag_of_the_model() -> None:
         found.std * np.array([0.5, 0.4, 0.3]) * np.sqrt(process_covariance(found.corr_time, BAND, np.zeros(1))[0])
     )
     np.testing.assert_allclose(added, expected, rtol=1e-6)
-    named = found.named()
+    named = found.named(ROBOT)
     assert (named.name, named.params) == ("gusts", found.params())
     assert named.confidence > 0.999
-    assert found.decision(("none", "", ())) == ("explained", found.decision(("none", "", ()))[1], ("gusts",))
-    assert found.decision(("unexplained", "more", ("com_offset",)))[2] == ("com_offset", "gusts")
-    open_yet = ("explained", "the flights show gusts; more is open", ("gusts",))
-    assert found.decision(("not shown", "more is open", ())) == open_yet
-    assert "lower no residual" in found.notes[0]
+    assert [note.code for note in found.notes] == ["gusts_are_random"]
 
 
 def test_where_gusts_are_not_looked_for_and_why() -> None:
     flights = [blown(number) for number in range(2)]
-    assert "a known drag" in look(flights, ModelParams()).untestable
-    assert "too slow to show a noise floor" in look(flights, floor=None).untestable
-    assert "needs specific force and velocity" in look([replace(f, lin_vel=None) for f in flights]).untestable
+    assert look(flights, ModelParams()).untestable == Finding("gusts_no_drag", "gusts")
+    assert look(flights, floor=None).untestable == Finding("gusts_no_floor", "gusts")
+    blind = [replace(f, lin_vel=None) for f in flights]
+    assert look(blind).untestable == Finding("gusts_no_forces", "gusts")
     nothing = look(flights, remaining=np.zeros(12, dtype=bool))
-    assert (nothing.accepted, nothing.untestable, nothing.notes) == (False, "", ())
+    assert (nothing.accepted, nothing.untestable, nothing.notes) == (False, None, ())
     still = look(flights)
     assert not still.accepted
-    assert "what remains is not called gusts" in still.notes[0]
+    (note,) = still.notes
+    assert note.code == "gusts_refused"
+    assert len(note.values["objections"]) == len(still.objections) > 0
 
 
 def test_declared_gusts_are_taken_as_they_are() -> None:
@@ -215,19 +216,23 @@ def test_noise_has_no_memory_as_often_as_stated() -> None:
     assert p_value_of_memory([part + 0.2 * other for part, other in zip(parts, late, strict=True)]) < 1e-4
 
 
-def test_gusts_beside_a_verdict_are_told_in_its_reason() -> None:
-    """Where nothing else is named they explain; what is named or unexplained stays so, and they are told beside it."""
+def test_gusts_beside_a_verdict_are_a_candidate_of_it() -> None:
+    """Where nothing else is named they explain the flights; a named or unexplained result stays so."""
     wind = RandomWind(std=1.0, p_value=1e-9)
-    assert wind.decision(("none", "nothing", ())) == (
+    point = Finding("left_open", "", {"channels": ["specific_force.x"]})
+
+    def made(kind: str, *candidates: str) -> Decision:
+        return Decision(kind=kind, candidates=candidates, findings=(point,))
+
+    none, open_yet, more = (
+        wind.decision(made(*given)) for given in (("none",), ("not shown",), ("unexplained", "rotor_drag"))
+    )
+    assert (none.kind, none.candidates, [one.code for one in none.findings]) == (
         "explained",
-        "the flights show gusts; what remains is near the noise floor with them",
         ("gusts",),
+        ["gusts_reach_floor"],
     )
-    assert wind.decision(("not shown", "what is open", ()))[1] == "the flights show gusts; what is open"
-    assert wind.decision(("unexplained", "more remains", ("rotor_drag",))) == (
-        "unexplained",
-        "more remains; beside it the flights show gusts",
-        ("rotor_drag", "gusts"),
-    )
-    made = ("none", "nothing", ())
-    assert replace(wind, objections=("may be noise",)).decision(made) == made
+    assert (open_yet.kind, open_yet.findings) == ("explained", (point,))
+    assert (more.kind, more.candidates, more.findings) == ("unexplained", ("rotor_drag", "gusts"), (point,))
+    refused = replace(wind, objections=(Finding("may_be_noise", "gusts", {"p_value": 0.1}),))
+    assert refused.decision(made("none")) == made("none")

@@ -47,7 +47,7 @@ def test_a_test_flight_that_is_a_copy_is_left_out(table: pd.DataFrame, tmp_path:
         load_flights(paths, ROBOT, mapping=None, bandwidth=10.0)
     found = read_inputs(ROBOT, paths[:1], [paths[1], other], mapping=None, bandwidth=10.0)
     assert [one.name for one in found.test] == ["other"]
-    assert "a copy is no other flight" in found.left_out[0]
+    assert "a copy is no other flight" in found.left_out[0].values["error"]
     with pytest.raises(DataError, match="give each flight once, to train or to test"):
         read_inputs(ROBOT, paths[:1], paths[1:], mapping=None, bandwidth=10.0)
 

@@ -33,7 +33,7 @@ def errors(table: pd.DataFrame, folder: Path, sensor: str) -> ImuErrors:
 @pytest.mark.parametrize("seed", [1, 5, 6])
 def test_a_clean_flight_is_silent(seed: int, tmp_path: Path) -> None:
     clean = flight(seed, seconds=16.0, rate=200.0, noise=1.0)
-    assert [text for a in kinematic_errors(log_of(clean, tmp_path)) for text in a.sentences()] == []
+    assert [note for a in kinematic_errors(log_of(clean, tmp_path)) for note in a.findings()] == []
 
 
 @pytest.mark.parametrize("size", [0.03, 0.1, 0.3])
@@ -42,7 +42,7 @@ def test_a_bias_of_the_gyro(table: pd.DataFrame, tmp_path: Path, size: float, si
     changed = table.assign(omega_y=table["omega_y"] + sign * size)
     found = errors(changed, tmp_path, "gyro")
     np.testing.assert_allclose(found.bias, (0.0, sign * size, 0.0), atol=0.003)
-    assert [text.startswith("gyro bias") for text in found.sentences()] == [True]
+    assert [(note.code, note.values["sensor"]) for note in found.findings()] == [("sensor_bias", "gyro")]
 
 
 @pytest.mark.parametrize("size", [0.2, 0.5, 1.0])
@@ -52,7 +52,7 @@ def test_a_bias_of_the_accelerometer(table: pd.DataFrame, tmp_path: Path, size: 
     found = errors(changed, tmp_path, "accelerometer")
     assert found.bias[2] == pytest.approx(sign * size, abs=0.05)
     assert found.bias[2] - found.half_width[2] < sign * size < found.bias[2] + found.half_width[2]
-    assert any(text.startswith("accelerometer bias") for text in found.sentences())
+    assert ("sensor_bias", "accelerometer") in [(note.code, note.values["sensor"]) for note in found.findings()]
 
 
 @pytest.mark.parametrize(("columns", "sensor", "axis"), [(OMEGA, "gyro", 2), (ACC, "accelerometer", 0)])
@@ -66,7 +66,7 @@ def test_a_turned_sensor(
     changed[columns] = turn.inv().apply(table[columns].to_numpy(copy=True))
     found = errors(changed, tmp_path, sensor)
     assert np.degrees(found.angle[axis]) == pytest.approx(degrees, abs=0.05 * abs(degrees) + 0.3)
-    assert any("turned against the body" in text for text in found.sentences())
+    assert "sensor_turned" in [note.code for note in found.findings()]
 
 
 def test_what_a_flight_cannot_show_is_not_told(table: pd.DataFrame, tmp_path: Path) -> None:
@@ -88,15 +88,17 @@ def test_a_late_or_early_sensor(
     found = errors(changed, tmp_path, sensor)
     assert found.delay == pytest.approx(0.005 * rows, rel=0.15)
     word = "late" if rows > 0 else "early"
-    assert any(f"{word} against" in text for text in found.sentences())
+    (note,) = (note for note in found.findings() if note.code == "sensor_late")
+    assert (note.values["late_ms"] > 0.0) == (word == "late")
 
 
 def test_faults_of_the_imu_stand_in_the_notes_of_a_check(table: pd.DataFrame, tmp_path: Path) -> None:
     changed = table.assign(omega_x=table["omega_x"] - 0.1)
-    assert any(note.startswith("gyro bias -0.10") for note in check_log(log_of(changed, tmp_path), ROBOT))
+    (note,) = (note for note in check_log(log_of(changed, tmp_path), ROBOT) if note.code == "sensor_bias")
+    assert note.values["bias_rad_s"][0] == pytest.approx(-0.1, abs=0.01)
 
 
 def test_a_drag_the_model_lacks_is_no_fault_of_the_imu(tmp_path: Path) -> None:
     """The accelerometer feels drag, and so does the velocity: kinematics does not see it."""
     draggy = flight(5, seconds=16.0, rate=200.0, noise=1.0, drag=0.3)
-    assert [text for a in kinematic_errors(log_of(draggy, tmp_path)) for text in a.sentences()] == []
+    assert [note for a in kinematic_errors(log_of(draggy, tmp_path)) for note in a.findings()] == []

@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import ConfigError, DataError, UnknownNameError
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import ColumnsCfg, LogMapping, find_mapping, mapping_names
@@ -95,7 +96,7 @@ def test_a_log_that_was_cut_off_loses_its_last_line(table: pd.DataFrame, tmp_pat
     path.write_text(path.read_text()[:-60])
     log = read_flight_log(path)
     np.testing.assert_array_equal(log.time, table["t"][:-1])
-    assert "line 301" in log.notes[0]
+    assert log.notes[0].values["lines"] == [301]
 
 
 def test_a_column_that_appears_twice_is_refused(table: pd.DataFrame, tmp_path: Path) -> None:
@@ -136,7 +137,8 @@ def test_units_order_and_gaps_of_a_mapping(table: pd.DataFrame, tmp_path: Path) 
     np.testing.assert_allclose(log.time, table["t"], atol=1e-12)
     np.testing.assert_allclose(log.ang_vel, table[["omega_x", "omega_y", "omega_z"]], rtol=1e-12, atol=1e-15)
     assert log.rotor_speed[40, 1] == pytest.approx(0.5 * (table["rotor_2"][39] + table["rotor_2"][41]))
-    assert log.notes == ("1 empty fields of rotor_1 to rotor_4 filled by straight lines",)
+    filled = {"fields": 1, "first": "rotor_1", "last": "rotor_4", "held": False}
+    assert log.notes == (Finding("fields_filled", "", filled),)
 
 
 def test_single_empty_fields_become_lines_and_commands_hold(table: pd.DataFrame, tmp_path: Path) -> None:
@@ -150,7 +152,8 @@ def test_single_empty_fields_become_lines_and_commands_hold(table: pd.DataFrame,
     assert log.rotor_command is not None
     assert log.ang_vel[41, 0] == pytest.approx(0.75 * table["omega_x"][40] + 0.25 * table["omega_x"][44])
     np.testing.assert_array_equal(log.rotor_command[49:53, 0], command["cmd_1"][[49, 49, 49, 52]])
-    assert log.notes[1] == "2 empty fields of cmd_1 to cmd_4 filled by the value before"
+    filled = {"fields": 2, "first": "cmd_1", "last": "cmd_4", "held": True}
+    assert log.notes[1] == Finding("fields_filled", "", filled)
 
 
 def test_a_gap_that_is_too_long_for_its_mapping(table: pd.DataFrame, tmp_path: Path) -> None:
@@ -215,7 +218,7 @@ def test_a_row_with_an_unbalanced_quote_is_left_out(broken: str, tmp_path: Path)
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
     log = read_flight_log(tmp_path / "log.csv")
     np.testing.assert_allclose(log.time, np.delete(0.01 * np.arange(10), 5))
-    assert "line 7" in log.notes[0]
+    assert log.notes[0].values["lines"][0] == 7
 
 
 def test_rotors_at_rest_and_numbers_of_no_flight_are_refused(tmp_path: Path) -> None:

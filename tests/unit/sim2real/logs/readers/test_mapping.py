@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.config import build
 from aerial_gym.errors import ConfigError, DataError, MissingDependencyError
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping, mapping_names
 from aerial_gym.sim2real.logs.readers.ulog import topics_table
@@ -72,7 +73,7 @@ def test_a_collective_thrust_setpoint_is_a_speed_of_every_rotor_and_no_torque(
     assert log.rotor_command.shape == (len(table), 4)
     flown = load_flight(write(table, tmp_path / "b.csv"), ROBOT, mapping=mapping, bandwidth=5.0)
     assert not flown.gyro
-    assert "one command for all rotors: angular acceleration is not compared" in flown.notes
+    assert Finding("one_command") in flown.notes
 
 
 def test_an_attitude_that_is_not_logged_is_integrated_from_the_gyro(table: pd.DataFrame, tmp_path: Path) -> None:
@@ -84,8 +85,8 @@ def test_an_attitude_that_is_not_logged_is_integrated_from_the_gyro(table: pd.Da
     np.testing.assert_allclose(log.attitude[0], (0.0, 0.0, 0.0, 1.0))
     error = ((flown[0].inv() * flown[-1]).inv() * found[-1]).magnitude()
     assert error < 2e-3
-    assert log.notes[0] == "no attitude"
-    assert "integrated from the gyro" in log.notes[1]
+    assert log.notes[0] == Finding("mapping_note", "", {"text": "no attitude"})
+    assert log.notes[1] == Finding("attitude_integrated")
     moving = layout(attitude=None, rotor_speed=rotors, lin_vel={"columns": ["v_x", "v_y", "v_z"]}, lacks="none logged")
     with pytest.raises(DataError, match=r"has no attitude. none logged"):
         read(table, tmp_path, moving)
@@ -104,7 +105,7 @@ def test_the_other_vehicle_comes_from_its_own_file_and_its_gaps_stay(table: pd.D
     np.testing.assert_allclose(log.other_position[50, 0], 1.0)
     assert np.isnan(log.other_position[120]).all()
     assert np.isnan(log.other_position[-1]).all()
-    assert "position of the other vehicle from swap_two.csv" in log.notes
+    assert Finding("other_vehicle", "", {"file": "swap_two.csv"}) in log.notes
     assert read(table, tmp_path, mapping, "alone.csv").other_position is None
 
 
@@ -115,7 +116,7 @@ def test_logs_that_are_too_slow_for_torques_are_compared_in_forces(table: pd.Dat
         flown = load_flight(path, ROBOT, mapping=mapping, bandwidth=5.0)
         kinds = {channel.kind for channel in find_channels([flown])}
         assert kinds == {"specific_force", *(("angular_acceleration", "kinematic_rate") if torques else ())}
-        assert any("do not show torques" in note for note in flown.notes) is not torques
+        assert (Finding("torques_not_logged") in flown.notes) is not torques
 
 
 def test_the_known_wind_comes_by_the_name_of_the_file(table: pd.DataFrame, tmp_path: Path) -> None:
@@ -123,12 +124,12 @@ def test_the_known_wind_comes_by_the_name_of_the_file(table: pd.DataFrame, tmp_p
     mapping = layout(rotor_speed={"columns": ["rotor_{n}"]}, wind={"fan_on": [-4.2, 0, 0], "calm": [0, 0, 0]})
     log = read(table, tmp_path, mapping, "run1_fan_on.csv")
     assert log.wind == (-4.2, 0.0, 0.0)
-    assert "declared wind (-4.2, 0, 0) m/s, world" in log.notes
+    assert Finding("wind_declared", "", {"wind_m_s": [-4.2, 0.0, 0.0]}) in log.notes
     path = write(table, tmp_path / "calm.csv")
     assert load_flight(path, ROBOT, mapping=mapping, bandwidth=5.0).wind == (0.0, 0.0, 0.0)
     other = read(table, tmp_path, mapping, "run2.csv")
     assert other.wind is None
-    assert "the mapping declares no wind for a file of this name: taken as still air" in other.notes
+    assert Finding("wind_not_declared") in other.notes
     ned = layout(rotor_speed={"columns": ["rotor_{n}"]}, wind={"run": [1, 2, 3]}, world_frame="ned")
     assert read(table, tmp_path, ned, "run2.csv").wind == (2.0, 1.0, -3.0)
     with pytest.raises(DataError, match=r"declares the wind of fan_on and of calm; make the texts differ"):
@@ -153,7 +154,8 @@ def test_commands_are_scaled_to_the_thrust_measured_above_a_height(table: pd.Dat
     scaled = load_flight(path, ROBOT, mapping=layout(hover_above_m=above, **fields), bandwidth=5.0)
     assert scaled.rotor_command is not None
     np.testing.assert_allclose(scaled.rotor_command, np.where(high, 1.0, 0.7 / 1.1) * flown, rtol=1e-3)
-    assert any("commands scaled by 0.909" in note for note in scaled.notes)
+    (note,) = (note for note in scaled.notes if note.code == "commands_scaled")
+    assert note.values["factor"] == pytest.approx(0.909, abs=1e-3)
     as_logged = load_flight(path, ROBOT, mapping=layout(**fields), bandwidth=5.0)
     assert as_logged.rotor_command is not None
     np.testing.assert_allclose(as_logged.rotor_command[0], table.loc[0, ["cmd_1", "cmd_2", "cmd_3", "cmd_4"]].tolist())
@@ -196,7 +198,8 @@ def test_conversions_that_cannot_be(
 def test_a_piece_beyond_a_gap_at_the_end_is_cut_off_and_said(table: pd.DataFrame, tmp_path: Path) -> None:
     log = uniform_log(read_flight_log(write(table.drop(index=range(370, 385)), tmp_path / "a.csv")))
     assert log.time[-1] == pytest.approx(3.69)
-    assert log.notes == ("15 rows beyond a gap of 0.16 s at the end or start were cut off",)
+    (note,) = log.notes
+    assert (note.code, note.values) == ("rows_cut", {"rows": 15, "gap_s": pytest.approx(0.16, abs=0.005)})
 
 
 def check_px4(log: FlightLog, table: pd.DataFrame) -> None:

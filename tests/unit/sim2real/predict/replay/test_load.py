@@ -22,6 +22,7 @@ from aerial_gym.physics import (
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.memory import make_memory, place_memory
 from aerial_gym.robots import ROBOTS
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -241,7 +242,9 @@ def test_fits_of_a_load_start_at_several_lengths_and_those_of_a_rotor_at_each() 
 
 def test_a_load_cannot_be_followed_without_velocity() -> None:
     bare = replace(hover("a", 1.0), lin_vel=None)
-    assert lacks_of_scene("slung_payload", [bare]).startswith("a: without velocity or position")
+    assert lacks_of_scene("slung_payload", [bare]) == Finding(
+        "logs_lack", "slung_payload", {"flights": "a", "need": "lin_vel"}
+    )
 
 
 def test_a_rollout_starts_with_the_swing_that_the_log_shows() -> None:

@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 from aerial_gym.config.robot import BatteryCfg, RobotCfg
 from aerial_gym.errors import DataError, ShapeError
 from aerial_gym.physics import EFFECTS, Model, build_model, vehicle_from_config
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.battery import with_battery
 from aerial_gym.sim2real.identify.candidates.testable import lacks
 from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
@@ -159,14 +160,14 @@ def test_what_logs_lack_for_the_battery_is_said(tmp_path: Path) -> None:
     bare = step_flight(tmp_path, rate=100.0, seconds=3.0)
     flat = replace(bare, battery=np.full(bare.num_rows, 15.8))
     falling = replace(bare, battery=np.linspace(15.8, 15.0, bare.num_rows))
-    assert "the robot file must give battery" in lacks("battery_sag", ROBOT, [falling])
-    assert (
-        lacks("battery_sag", POWERED, [falling], [bare])
-        == "100: without battery voltage; log it in volts (column vbat)"
-    )
-    assert "varies by 0.0% in these flights; needed: a long flight" in lacks("battery_sag", POWERED, [flat, flat])
-    assert lacks("battery_sag", POWERED, [flat, falling], [flat]) == ""
-    assert lacks("actuation_delay", ROBOT, [bare]) == ""
+    refused = lacks("battery_sag", ROBOT, [falling])
+    assert refused is not None
+    assert "the robot file must give battery" in refused.values["error"]
+    without = Finding("logs_lack", "battery_sag", {"flights": "100", "need": "battery"})
+    assert lacks("battery_sag", POWERED, [falling], [bare]) == without
+    assert lacks("battery_sag", POWERED, [flat, flat]) == Finding("voltage_too_steady", "battery_sag", {"share": 0.0})
+    assert lacks("battery_sag", POWERED, [flat, falling], [flat]) is None
+    assert lacks("actuation_delay", ROBOT, [bare]) is None
     declared = replace(POWERED, effects={"battery_sag": {"gain": 0.3}})
     with pytest.raises(DataError, match="effect battery_sag: 100: without battery voltage; log it"):
         replay_flights(declared, [bare], bandwidth=10.0)
@@ -364,7 +365,7 @@ def test_slew_rates_limit_the_replayed_speeds(tmp_path: Path) -> None:
     assert speed[150] == pytest.approx(
         900.0 + 15.0 * np.exp(-(0.5 - (speed[100] - 915.0) / 500.0) / TAU_DOWN), rel=1e-12
     )
-    assert lacks("actuation_delay", replace(ROBOT, rotor=rotor), [driven]) == ""
+    assert lacks("actuation_delay", replace(ROBOT, rotor=rotor), [driven]) is None
 
 
 def test_commands_in_the_dead_band_stop_replayed_rotors(tmp_path: Path) -> None:

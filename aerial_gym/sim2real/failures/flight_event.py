@@ -1,7 +1,7 @@
-"""What failed in a flight: its name, how large it is and since when, each with an interval.
+"""Events in single flights: a failure with its name, size and onset, each with an interval.
 
-A failure is a finding about a flight, not about the vehicle: it has the name of the flight and the time in it, and what comes
-after its onset is not compared with the vehicle as it was before. Letters: T rows, K blocks.
+An event belongs to a flight, not to the vehicle: it has the name of the flight and a time in it. Rows after the onset of a
+failure are not compared with the vehicle as it was before. Letters: T rows, K blocks.
 """
 
 from collections.abc import Sequence
@@ -18,6 +18,8 @@ from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import hover_speed, rotor_thrust, state_for_thrust
 from aerial_gym.sim2real.failures.rotor_work import BLOCK_S, RotorWork, RotorWorks
 from aerial_gym.sim2real.failures.scan import Cause, Timed, causes_of, sum_of_odds, timed
+from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.logs.declared_rotors import place_of_rotor
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.recording import part_of
 from aerial_gym.sim2real.plain import fields_of
@@ -30,13 +32,10 @@ WINDOW_BLOCKS = 600
 SHORTEST_S = 2.0
 """A flight with less before the failure has nothing to compare [s]."""
 
-RISES = {"motor_failure": "of its commands", "weak_motor": "of its thrust", "brown_out": "of their commands"}
-"""What a share is of."""
-
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
-    """What happened in one flight, and since when."""
+class FlightEvent:
+    """An event in one flight, and its onset."""
 
     flight: str
     name: str
@@ -59,8 +58,8 @@ class Finding:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Failure(Finding):
-    """What failed in one flight."""
+class Failure(FlightEvent):
+    """A failure of a rotor or of the supply in one flight."""
 
     log_odds: float
     """Of this failure against none, at its onset."""
@@ -71,25 +70,32 @@ class Failure(Finding):
     rival: str
     """The most probable other failure, empty if there is none."""
 
+    place: str = ""
+    """Place of the rotor on the vehicle, such as ``front left``; empty: of no single rotor, or not unique."""
+
+    unit: str = "rad_s"
+    """Unit of the state that a stuck rotor keeps: rad_s, or in force mode n."""
+
     @property
-    def sentence(self) -> str:
-        """Return it in words."""
-        who = "all rotors" if self.name == "brown_out" else f"rotor {self.params['motor']:.0f}"
-        low, high = self.interval["time"]
-        when = f"from {self.time:.3f} s [{low:.3f}, {high:.3f}]"
+    def finding(self) -> Finding:
+        """Return the failure with its numbers."""
+        values: dict[str, object] = {"failure": self.name, "time_s": self.time}
+        values |= dict(zip(("time_low_s", "time_high_s"), self.interval["time"], strict=True))
+        if "motor" in self.params:
+            values |= {"rotor": round(self.params["motor"]), "place": self.place}
+        if "scale" in self.params:
+            values |= {"share": self.params["scale"]}
+            values |= dict(zip(("share_low", "share_high"), self.interval["scale"], strict=True))
+        if "speed" in self.params:
+            values[f"state_{self.unit}"] = self.params["speed"]
         if "duration" in self.params:
-            when += f" for {self.params['duration']:.3f} s"
-        if self.name == "stuck_rotor":
-            return f"{self.flight}: {who} keeps {self.params['speed']:.4g} {when} on ({self.name})"
-        low, high = self.interval["scale"]
-        size = f"{self.params['scale']:.3f} [{low:.3f}, {high:.3f}] {RISES[self.name]}"
-        verb = {"weak_motor": "gives", "brown_out": "follow"}.get(self.name, "follows")
-        return f"{self.flight}: {who} {verb} {size} {when}{'' if 'duration' in self.params else ' on'} ({self.name})"
+            values["duration_s"] = self.params["duration"]
+        return Finding("failure_found", self.flight, values)
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
         told = fields_of(self, "flight", "name", "params", "std", "interval", "log_odds", "probability")
-        return {**told, "rival": self.rival or None, "sentence": self.sentence}
+        return {**told, "rival": self.rival or None, "sentence": self.finding}
 
 
 def least_log_odds(false_alarm_hours: float) -> float:
@@ -113,7 +119,7 @@ class FailureFinder:
         if not 0.0 < false_alarm_hours < np.inf:
             raise ConfigError(f"false_alarm_hours = {false_alarm_hours!r}: must be > 0 and finite")
         self.works, self.limit = RotorWorks(robot), least_log_odds(false_alarm_hours)
-        self._tolerances = tolerances or Tolerances()
+        self._robot, self._tolerances = robot, tolerances or Tolerances()
         self._vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
         self._hover = hover_speed(self._vehicle, STANDARD_GRAVITY)
 
@@ -167,6 +173,8 @@ class FailureFinder:
             log_odds=found.log_odds,
             probability=probability,
             rival="" if rival is None else rival.name,
+            place="" if cause.rotor is None else place_of_rotor(self._robot, cause.rotor + 1),
+            unit="n" if "force" in self._robot.rotor_traits else "rad_s",
         )
 
     def _share(self, cause: Cause, done: float) -> float:

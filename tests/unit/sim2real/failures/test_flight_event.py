@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.sim2real.failures.finding import Failure, FailureFinder, least_log_odds, same_in_all, until_failure
+from aerial_gym.sim2real.failures.flight_event import Failure, FailureFinder, least_log_odds, same_in_all, until_failure
 from aerial_gym.sim2real.failures.scan import _risen
 from aerial_gym.sim2real.logs.flights import Flight
 from tests.unit.sim2real.failures.test_evidence import work_of
@@ -68,10 +68,19 @@ def test_one_failure_is_that_of_all_flights_only_if_it_is_the_same_in_all() -> N
     assert same_in_all([both[0], replace(both[1], name="weak_motor")], 2) is None
 
 
-def test_a_failure_is_told_with_its_intervals() -> None:
-    assert failure("a").sentence == (
-        "a: rotor 2 follows 0.800 [0.790, 0.810] of its commands from 5.000 s [4.980, 5.020] on (motor_failure)"
-    )
+def test_a_failure_is_a_finding_with_its_intervals() -> None:
+    found = replace(failure("a"), place="front left").finding
+    assert (found.code, found.subject) == ("failure_found", "a")
+    numbers = {
+        "time_s": 5.0,
+        "time_low_s": 4.98,
+        "time_high_s": 5.02,
+        "share": 0.8,
+        "share_low": 0.79,
+        "share_high": 0.81,
+    }
+    names = {"failure": "motor_failure", "rotor": 2, "place": "front left"}
+    assert found.values == pytest.approx(numbers | names)
 
 
 def test_the_limit_is_that_of_blocks_between_false_alarms() -> None:

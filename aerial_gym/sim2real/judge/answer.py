@@ -1,0 +1,210 @@
+"""The answer of a verdict in four parts: the finding, the gain on unseen flights, worse or open results, the next step.
+
+Every part is a list of findings, which hold only numbers of the verdict.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from aerial_gym.sim2real.findings import Finding, unit_key
+from aerial_gym.sim2real.judge.outcome import BETTER, NOT_SHOWN, WORSE, Outcome
+from aerial_gym.sim2real.judge.verdict import Verdict
+from aerial_gym.sim2real.predict.channels import KINEMATIC, UNITS
+from aerial_gym.sim2real.predict.rollout import QUANTITIES
+
+MOST_GAINS = 2
+"""Errors that the gain names."""
+
+GAIN_HORIZON_S = 1.0
+"""Horizon of the rollout that the gain may name [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """The four parts."""
+
+    found: tuple[Finding, ...]
+    gain: tuple[Finding, ...]
+    open: tuple[Finding, ...]
+    """Results that got worse, that remain, or that stay open."""
+
+    next: tuple[Finding, ...]
+
+    @property
+    def parts(self) -> dict[str, tuple[Finding, ...]]:
+        """Return the parts by name, in their order."""
+        return {"found": self.found, "gain": self.gain, "open": self.open, "next": self.next}
+
+
+def answer(verdict: Verdict) -> Answer:
+    """Return the answer of a verdict."""
+    return Answer(
+        found=tuple(_found(verdict)),
+        gain=tuple(_gain(verdict)),
+        open=tuple(_open(verdict)),
+        next=tuple(_next(verdict)),
+    )
+
+
+def findings_of(verdict: Verdict) -> tuple[Finding, ...]:
+    """Return all findings: the answer, its meaning, the notes, and the reasons why effects could not be tested."""
+    parts = (finding for part in answer(verdict).parts.values() for finding in part)
+    learned = () if verdict.learned is None else verdict.learned.findings
+    return (*parts, *meaning(verdict), *learned, *verdict.notes, *verdict.not_testable.values())
+
+
+def meaning(verdict: Verdict) -> tuple[Finding, ...]:
+    """Return how far the model can be trusted: harm and help of the correction, and open channels."""
+    kind = verdict.verdict
+    if kind == "explained" and not verdict.effects and (verdict.failures or verdict.joint_findings):
+        kind = NOT_SHOWN if verdict.not_shown else "none"
+    worse, better = (_quantities(verdict.outcomes, state) for state in (WORSE, BETTER))
+    found = [Finding("correction_harms", "", {"errors": worse})] if worse else []
+    tied = {effect.name: list(effect.ties) for effect in verdict.effects if effect.ties}
+    certain = [effect.name for effect in verdict.effects if not effect.ties]
+    found += [Finding("ties_named", name, {"others": others}) for name, others in tied.items()]
+    if tied and certain:
+        found.append(Finding("certain_beside_ties", "", {"effects": certain}))
+    if not tied:
+        found.append(Finding(TRUST[kind]))
+    if verdict.outcomes:
+        found.append(Finding("correction_helps", "", {"errors": better}) if better else Finding("no_error_falls"))
+    if verdict.not_shown and kind != NOT_SHOWN:
+        found.append(Finding("open_in_channels", "", {"channels": list(verdict.not_shown)}))
+    if verdict.joint_findings:
+        found.append(Finding("rigid_vehicle_only"))
+    if verdict.failures:
+        found.append(Finding("until_failure_only", "", {"flights": [failure.flight for failure in verdict.failures]}))
+    return tuple(found)
+
+
+TRUST = {
+    "explained": "trust_corrected",
+    "none": "trust_declared",
+    NOT_SHOWN: "trust_as_shown",
+    "unexplained": "trust_nothing",
+    "ambiguous": "trust_ambiguous",
+}
+"""Code by the kind of the verdict."""
+
+
+def _quantities(outcomes: Sequence[Outcome], state: str) -> list[str]:
+    """Return the names of the errors in a state: without horizon, unless another horizon contradicts it."""
+    opposite = {one.quantity for one in outcomes if one.state == (BETTER if state == WORSE else WORSE)}
+    names = (one.name if one.quantity in opposite else one.quantity for one in outcomes if one.state == state)
+    return list(dict.fromkeys(names))
+
+
+def _found(verdict: Verdict) -> Iterator[Finding]:
+    named = {effect.name for effect in verdict.effects}
+    yield from (failure.finding for failure in verdict.failures if failure.name not in named)
+    yield from verdict.joint_findings
+    for effect in verdict.effects:
+        yield effect.finding
+    if verdict.effects and not named <= {failure.name for failure in verdict.failures}:
+        return
+    if verdict.unexplained:
+        yield from (_remaining(verdict, point) for point in verdict.open_points if point.code == "remains_unexplained")
+        yield Finding("effects_none")
+    elif any(point.code in ("left_open", "floor_unknown") for point in verdict.open_points):
+        yield Finding("effects_none")
+    else:
+        until = {"until_failure": bool(verdict.failures), "rigid": bool(verdict.joint_findings)}
+        yield Finding("declared_explains", "", until)
+
+
+def _remaining(verdict: Verdict, point: Finding) -> Finding:
+    """Return a finding on channels that remain, with their errors and noise floors."""
+    rows, after = [], verdict.after
+    for place, channel in enumerate(after.channels):
+        if channel.name in point.values["channels"]:  # type: ignore[operator]
+            unit, floor = unit_key(channel.unit), None if after.floor is None else after.floor[place]
+            rows.append({"channel": channel.name, f"rms_{unit}": after.residual[place].value, f"floor_{unit}": floor})
+    return Finding(point.code, point.subject, {**point.values, "errors": rows})
+
+
+def _gain(verdict: Verdict) -> Iterator[Finding]:
+    if not verdict.outcomes:
+        return
+    if {effect.name for effect in verdict.effects} == {"gusts"}:
+        yield Finding("gusts_lower_no_error")
+        return
+    better = sorted((one for one in verdict.outcomes if one.state == BETTER), key=lambda one: one.rise.value)
+    best: dict[str, Outcome] = {}
+    for one in better:
+        kind, _, axis = one.quantity.partition(".")
+        if (one.horizon is None and kind not in KINEMATIC) or (kind == "free" and one.horizon == GAIN_HORIZON_S):
+            best.setdefault(kind if axis.isdigit() else one.quantity, one)  # of the rotors the best alone
+    ranked = sorted(best.values(), key=lambda one: one.horizon is not None)  # rollouts after channels
+    errors = [_change(verdict, one) for one in ranked[:MOST_GAINS] if one.rise.value <= 0.5 * ranked[0].rise.value]
+    yield Finding("errors_fall", "", {"errors": errors}) if errors else Finding("no_error_falls")
+
+
+def _change(verdict: Verdict, one: Outcome) -> dict[str, object]:
+    """Return an error before and after the correction, with the interval of its relative change."""
+    if one.horizon is None:
+        names = [channel.name for channel in verdict.before.channels]
+        place, unit = names.index(one.quantity), UNITS[one.quantity.partition(".")[0]]
+        before, after = (model.residual[place] for model in (verdict.before, verdict.after))
+    else:
+        variant, _, quantity = one.quantity.partition(".")
+        unit = QUANTITIES[quantity]
+        before, after = (model.rollout[variant][quantity][one.horizon] for model in (verdict.before, verdict.after))
+    key = unit_key(unit)
+    change = {"rise": one.rise.value, "rise_low": one.rise.low, "rise_high": one.rise.high}
+    return {"quantity": one.name, f"before_{key}": before.value, f"after_{key}": after.value, **change}
+
+
+def _open(verdict: Verdict) -> Iterator[Finding]:
+    for code, chosen in (
+        ("error_rises", [one for one in verdict.outcomes if one.state == WORSE]),
+        ("error_may_rise", [one for one in verdict.outcomes if one.suspect]),
+    ):
+        if chosen:
+            largest = max(chosen, key=lambda one: one.rise.value)
+            more = len({one.quantity for one in chosen}) - 1
+            yield Finding(code, largest.name, {**_change(verdict, largest), "more": more})
+    told = {finding.code for finding in _found(verdict)}
+    for point in verdict.open_points:
+        if point.code not in told:
+            yield _remaining(verdict, point) if point.code == "remains_unexplained" else point
+    structure = verdict.structure
+    if structure.kind != "none":
+        values = {"channel": structure.channel, "freq_hz": structure.freq_hz, "share": structure.share}
+        yield Finding("structure_found", structure.kind, values)
+
+
+def _next(verdict: Verdict) -> Iterator[Finding]:
+    """Yield the next steps: an experiment that decides what is open, then the robot file to use."""
+    open_codes = {point.code for point in verdict.open_points}
+    if verdict.verdict == "ambiguous":
+        yield Finding("weigh_or_log") if verdict.manoeuvre is None else verdict.manoeuvre.finding
+        return
+    if "forces_not_judged" in open_codes:
+        yield Finding("log_velocity")
+    if verdict.verdict == "unexplained":
+        kind = verdict.structure.kind
+        yield (
+            Finding("inspect_rest")
+            if kind == "none"
+            else Finding("fly_structure", kind, {"freq_hz": verdict.structure.freq_hz})
+        )
+        return
+    if verdict.corrects or verdict.joint_findings:
+        yield _robot_file(verdict)
+    if "left_open" in open_codes:
+        yield Finding("train_like_test", "", {"channels": list(verdict.not_shown)})
+    if "floor_unknown" in open_codes:
+        yield Finding("log_faster")
+    if not (verdict.corrects or verdict.joint_findings or open_codes & {"left_open", "floor_unknown"}):
+        yield Finding("keep_declared")
+        shows = {name: advice for name, advice in verdict.fly_next.items() if advice.fly is not None}
+        if shows:
+            yield max(shows.values(), key=lambda advice: advice.score).finding
+
+
+def _robot_file(verdict: Verdict) -> Finding:
+    worse, better = (_quantities(verdict.outcomes, state) for state in (WORSE, BETTER))
+    if not worse:
+        return Finding("load_robot_file")
+    return Finding("keep_declared_where", "", {"errors": worse}) if better else Finding("keep_declared_for_harm")

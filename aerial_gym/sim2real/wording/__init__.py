@@ -1,0 +1,55 @@
+"""The wording: one sentence, or a few, for the code of every finding. Only reports and commands render."""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.wording.answer import ANSWER, TRUST
+from aerial_gym.sim2real.wording.logs import LOGS
+from aerial_gym.sim2real.wording.notes import NOTES, REASONS
+from aerial_gym.sim2real.wording.teststand import TESTSTAND
+
+Template = str | Callable[[Finding], str]
+
+TEMPLATES: dict[str, Template] = {**ANSWER, **TRUST, **NOTES, **REASONS, **LOGS, **TESTSTAND}
+"""Of every code: a text, or a function of the finding."""
+
+_WITH_SUBJECT = {*LOGS, "rows_without_speed", "thrust_from_gravity", "curvature_kept"}
+"""Codes whose subject stands before the sentence."""
+
+
+def text(finding: Finding) -> str:
+    """Return a finding in words."""
+    template = TEMPLATES[finding.code]
+    sentence = template if isinstance(template, str) else template(finding)
+    return f"{finding.subject}: {sentence}" if finding.subject and finding.code in _WITH_SUBJECT else sentence
+
+
+def joined(findings: Iterable[Finding]) -> str:
+    """Return findings in words, one behind the other."""
+    return " ".join(map(text, findings))
+
+
+def answer_texts(parts: Mapping[str, Iterable[Finding]]) -> list[str]:
+    """Return the parts of an answer in words, without empty ones; the last is marked as the next step."""
+    texts = {name: joined(part) for name, part in parts.items()}
+    step = texts["next"]
+    texts["next"] = step and f"Next: {step[0].lower()}{step[1:]}"
+    return [sentence for sentence in texts.values() if sentence]
+
+
+def rendered(content: Any) -> Any:
+    """Return content for JSON with every finding in it in words."""
+    if isinstance(content, Finding):
+        return text(content)
+    if isinstance(content, Mapping):
+        return {name: rendered(part) for name, part in content.items()}
+    return [rendered(part) for part in content] if isinstance(content, list | tuple) else content
+
+
+def finding_rows(findings: Iterable[Finding]) -> list[dict[str, object]]:
+    """Return findings for JSON: code, subject, values, severity and text."""
+    return [
+        {"code": one.code, "subject": one.subject, "values": one.values, "severity": one.severity, "text": text(one)}
+        for one in findings
+    ]

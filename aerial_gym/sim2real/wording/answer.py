@@ -1,0 +1,214 @@
+"""Sentences of the answer: the finding, the gain on unseen flights, worse or open results, the next step; and of the trust."""
+
+from collections.abc import Mapping, Sequence
+
+from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.wording.effects import effect_found
+from aerial_gym.sim2real.wording.words import (
+    Values,
+    error_words,
+    errors,
+    listed,
+    names,
+    number,
+    percent,
+    rise_interval,
+    unit_of,
+    valued,
+)
+
+
+def failure_found(finding: Finding) -> str:
+    """Return the sentence of a failure in one flight."""
+    values = finding.values
+    place = f" ({values['place']})" if values.get("place") else ""
+    who = f"rotor {values['rotor']}{place}" if "rotor" in values else "all rotors"
+    verb = {"weak_motor": "gives", "brown_out": "follow", "stuck_rotor": "keeps"}.get(str(values["failure"]), "follows")
+    if "share" in values:
+        low, high = (float(f"{100.0 * float(values[end]):.3g}") for end in ("share_low", "share_high"))
+        of = {"weak_motor": "of its thrust", "brown_out": "of their commands"}.get(
+            str(values["failure"]), "of its commands"
+        )
+        size = f"{100.0 * float(values['share']):.3g} % ({low:g} to {high:g} %) {of}"
+    else:
+        unit = "rad/s" if "state_rad_s" in values else "N"
+        size = f"{valued(values, 'state', unit):.4g} {unit}"
+    span = f"for {values['duration_s']:.3f} s" if "duration_s" in values else "on"
+    when = f"{values['time_s']:.3f} s ({values['time_low_s']:.3f} to {values['time_high_s']:.3f} s)"
+    return f"{finding.subject}: {who} {verb} {size} from {when} {span}."
+
+
+def _joint_found(finding: Finding) -> str:
+    rows: Sequence[Values] = finding.values["numbers"]
+    parts = [f"{row['name']} {number(row['value'])} instead of {number(row['declared'])}" for row in rows]
+    if not parts:
+        return f"Joint {finding.subject} differs from the declared one in {listed(finding.values['changed'])}."
+    return f"Joint {finding.subject} has {listed(parts)}."
+
+
+def _declared_explains(finding: Finding) -> str:
+    start = "Up to the failure, the" if finding.values.get("until_failure") else "The"
+    rigid = ", taken as rigid," if finding.values.get("rigid") else ""
+    return f"{start} declared model{rigid} explains the flights within noise and tolerances."
+
+
+def _from_to(row: Values) -> str:
+    quantity = str(row["quantity"])
+    unit = unit_of(quantity)
+    before, after = valued(row, "before", unit), valued(row, "after", unit)
+    digits = 2 if after < 0.5 * before else 3
+    return f"from {number(before)} to {number(after, digits)} {unit}"
+
+
+def _errors_fall(finding: Finding) -> str:
+    first, *others = finding.values["errors"]
+    parts = [f"{error_words(first['quantity'])} falls {_from_to(first)}"]
+    parts += [f"{error_words(row['quantity'])} {_from_to(row)}" for row in others]
+    return f"On unseen flights, {listed(parts)}."
+
+
+def _error_rises(finding: Finding) -> str:
+    more = int(finding.values["more"])
+    others = f"; {more} more error{'s rise' if more > 1 else ' rises'}" if more else ""
+    interval = rise_interval(finding.values)
+    return f"The {error_words(finding.subject)} rises {_from_to(finding.values)} ({interval}){others}."
+
+
+def _error_may_rise(finding: Finding) -> str:
+    more = int(finding.values["more"])
+    others = f"; {more} more may rise" if more else ""
+    change = f"{100.0 * float(finding.values['rise']):+.0f} %"
+    return f"The {error_words(finding.subject)} may rise: {change} ({rise_interval(finding.values)}){others}."
+
+
+def _remains(finding: Finding) -> str:
+    rows: Sequence[Mapping[str, float]] = finding.values.get("errors", ())
+    if not rows:
+        return f"Errors exceed noise and tolerances: {errors(finding.values['channels'])}."
+
+    def over(row: Mapping[str, float]) -> float:
+        floor = valued(row, "floor", unit_of(str(row["channel"])))
+        rms = valued(row, "rms", unit_of(str(row["channel"])))
+        return rms / floor if floor else 0.0
+
+    most = max(rows, key=over)
+    unit, more = unit_of(str(most["channel"])), len(rows) - 1
+    others = f"; {more} more error{'s exceed' if more > 1 else ' exceeds'} noise and tolerances" if more else ""
+    times = f", {over(most):.2g} times the noise floor" if over(most) else ""
+    error = f"the {error_words(str(most['channel']))} is {number(valued(most, 'rms', unit))} {unit}{times}"
+    return f"The model is missing something: {error}{others}."
+
+
+def _structure_found(finding: Finding) -> str:
+    values = finding.values
+    line = finding.subject == "periodic"
+    what = f"has a line at {number(values['freq_hz'])} Hz" if line else f"follows the {finding.subject}"
+    share = percent(float(values["share"]))
+    return (
+        f"The {error_words(str(values['channel']))} {what}, which explains {share} of its variance on flights left out."
+    )
+
+
+def _fly(finding: Finding) -> str:
+    tells = finding.values["tells"]
+    what = f"show {names(tells)}" if len(tells) == 1 else f"tell {listed(tells, 'from')}"
+    return f"To {what}, fly: {finding.subject}."
+
+
+def _weigh_or_log(finding: Finding) -> str:
+    tells = finding.values.get("tells", ())
+    what = f" about {names(tells)}" if tells else ""
+    return f"Measure on a bench or log more{what}; no manoeuvre of the catalogue tells."
+
+
+STRUCTURE_FLIGHTS = {
+    "position": "hover at several places and heights",
+    "heading": "hover and turn the heading in steps of 90 degrees",
+    "velocity": "sweep forwards and sideways at several speeds",
+    "voltage": "hover until the battery is empty",
+    "time": "hover from a cold start for as long as the battery lasts",
+    "periodic": "hover once with each propeller exchanged",
+}
+"""A flight that varies one thing."""
+
+
+def _fly_structure(finding: Finding) -> str:
+    return f"To confirm that, {STRUCTURE_FLIGHTS.get(finding.subject, 'repeat a test flight')}, and train on it."
+
+
+def _keep_where(finding: Finding) -> str:
+    return f"Load robot.yaml, but keep the declared robot where this matters: {errors(finding.values['errors'])}."
+
+
+def _effect_tied(finding: Finding) -> str:
+    return f"These flights do not decide between {listed([finding.subject, *finding.values['others']])}."
+
+
+def _near_floor(finding: Finding) -> str:
+    what = "Other errors are" if finding.values.get("offsets") else "The remaining error is"
+    return f"{what} near the noise floor."
+
+
+ANSWER = {
+    "effect_found": effect_found,
+    "failure_found": failure_found,
+    "joint_found": _joint_found,
+    "effects_none": "No known effect explains the flights better than the declared model.",
+    "declared_explains": _declared_explains,
+    "errors_fall": _errors_fall,
+    "no_error_falls": "No error on unseen flights falls for certain.",
+    "gusts_lower_no_error": "Gusts are random, so no prediction error falls.",
+    "error_rises": _error_rises,
+    "error_may_rise": _error_may_rise,
+    "remains_unexplained": _remains,
+    "structure_found": _structure_found,
+    "effect_tied": _effect_tied,
+    "effects_open": lambda f: (
+        f"The training flights leave {listed(f.values['effects'], 'or')} open, which would explain it."
+    ),
+    "left_open": lambda f: (
+        f"Errors stay above noise, and the training flights leave their cause open: {errors(f.values['channels'])}."
+    ),
+    "offsets_of_flights": lambda f: f"Each flight has its own offset: {errors(f.values['channels'])}.",
+    "remains_near_floor": _near_floor,
+    "gusts_reach_floor": "With the gusts, the remaining error is near the noise floor.",
+    "floor_unknown": "The logs are too slow or too short to show a noise floor, so remaining errors cannot be judged.",
+    "forces_not_judged": "Without velocity, air drag is unknown, so remaining force errors are not judged.",
+    "fly": _fly,
+    "weigh_or_log": _weigh_or_log,
+    "fly_structure": _fly_structure,
+    "inspect_rest": (
+        "Fly one test flight twice more. An error that repeats belongs to the model, any other to a disturbance."
+    ),
+    "log_velocity": "Log velocity (v_x, v_y, v_z) or position (p_x, p_y, p_z).",
+    "log_faster": "Log longer flights at a higher rate.",
+    "train_like_test": "Train on flights that move as the test flights do.",
+    "load_robot_file": "Load robot.yaml in the simulator.",
+    "keep_declared": "Keep the declared robot; nothing needs a correction.",
+    "keep_declared_where": _keep_where,
+    "keep_declared_for_harm": "Keep the declared robot; no error on unseen flights falls for certain.",
+}
+"""By code; a text without values is the sentence itself."""
+
+
+def _until_failure(finding: Finding) -> str:
+    return f"This holds for {names(finding.values['flights'])} up to the failure."
+
+
+TRUST = {
+    "trust_corrected": "The corrected vehicle explains the flights within noise and tolerances.",
+    "trust_declared": "The declared vehicle explains the flights within noise and tolerances.",
+    "trust_as_shown": "The declared vehicle explains the training flights; the test flights hold more, which they leave open.",
+    "trust_nothing": "Do not trust the simulator in the channels that remain unexplained.",
+    "trust_ambiguous": "The remaining error may be an effect that the training flights do not show.",
+    "ties_named": lambda f: f"{f.subject} may also be {listed(f.values['others'], 'or')}.",
+    "certain_beside_ties": lambda f: f"This doubt does not concern {names(f.values['effects'])}.",
+    "correction_harms": lambda f: (
+        f"The correction raises these errors: {errors(f.values['errors'])}. Keep the declared vehicle where they matter."
+    ),
+    "correction_helps": lambda f: f"The correction lowers these errors: {errors(f.values['errors'])}.",
+    "open_in_channels": lambda f: f"The training flights leave these open: {errors(f.values['channels'])}.",
+    "rigid_vehicle_only": "This holds for the vehicle as a rigid body; its joints were fitted separately.",
+    "until_failure_only": _until_failure,
+}
+"""How far the model can be trusted."""

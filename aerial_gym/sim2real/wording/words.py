@@ -1,0 +1,112 @@
+"""Words and numbers that many sentences share: quantities, units, lists, intervals."""
+
+from collections.abc import Iterable, Mapping
+from math import floor, isfinite, log10
+from typing import Any
+
+from aerial_gym.sim2real.findings import unit_key
+from aerial_gym.sim2real.predict.channels import UNITS
+from aerial_gym.sim2real.predict.rollout import QUANTITIES
+
+Values = Mapping[str, Any]
+
+MOST_LISTED = 5
+"""Names of a list; the others are counted."""
+
+_ERRORS = {
+    "specific_force.x": "forward-force error",
+    "specific_force.y": "sideways-force error",
+    "specific_force.z": "vertical-force error",
+    "angular_acceleration.x": "roll-acceleration error",
+    "angular_acceleration.y": "pitch-acceleration error",
+    "angular_acceleration.z": "yaw-acceleration error",
+    "kinematic_force.x": "accelerometer error x",
+    "kinematic_force.y": "accelerometer error y",
+    "kinematic_force.z": "accelerometer error z",
+    "kinematic_rate.x": "gyro error x",
+    "kinematic_rate.y": "gyro error y",
+    "kinematic_rate.z": "gyro error z",
+}
+"""Errors of channels in a pilot's words; those of the accelerometer are against velocity, of the gyro against attitude."""
+
+_VARIANTS = {"free": "", "given_attitude": " with the logged attitude"}
+
+
+def error_words(quantity: str) -> str:
+    """Return the name of an error: of a channel, or of a rollout with or without its horizon."""
+    if quantity in _ERRORS:
+        return _ERRORS[quantity]
+    kind, axis, *horizon = quantity.split(".", 2)
+    if kind == "rotor_speed":
+        return f"speed error of rotor {axis}"
+    after = f" after {horizon[0]} s" if horizon else ""
+    return f"{axis} error of the rollout{after}{_VARIANTS[kind]}" if kind in _VARIANTS else quantity
+
+
+def errors(quantities: Iterable[str]) -> str:
+    """Return a list of errors in words."""
+    return names(map(error_words, quantities))
+
+
+def unit_of(quantity: str) -> str:
+    """Return the unit of a channel or of a quantity of a rollout."""
+    kind, _, rest = quantity.partition(".")
+    return UNITS[kind] if kind in UNITS else QUANTITIES[rest.partition(".")[0]]
+
+
+def valued(values: Values, name: str, unit: str) -> Any:
+    """Return the number of a key that ends in its unit; None where it is not known."""
+    return values[f"{name}_{unit_key(unit)}"]
+
+
+def names(items: Iterable[str]) -> str:
+    """Return a list of names; of long ones the first and the number of the others."""
+    all_of = [str(item) for item in items]
+    more = len(all_of) - MOST_LISTED
+    return listed([*all_of[:MOST_LISTED], f"{more} more"] if more > 0 else all_of)
+
+
+def listed(parts: Iterable[str], last: str = "and") -> str:
+    """Return parts with commas and a last word: ``a, b and c``."""
+    *before, end = parts
+    return f"{', '.join(before)} {last} {end}" if before else end
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Return a number with so many significant digits; a dash for none."""
+    return "–" if value is None or not isfinite(value) else f"{value:.{digits}g}"
+
+
+def percent(share: float, digits: int = 2) -> str:
+    """Return a share in per cent, without sign."""
+    return f"{float(f'{100.0 * abs(share):.{digits}g}'):g} %"
+
+
+def rise_interval(values: Values) -> str:
+    """Return the interval of a relative change in per cent."""
+    low, high = (f"{100.0 * float(values[end]):+.0f}" for end in ("rise_low", "rise_high"))
+    return f"{low} to {high} %".replace("inf", "∞")
+
+
+def decimals(half_width: float | None) -> int | None:
+    """Return the decimals that a half width allows: one significant digit, two where the first is 1; None: not known."""
+    if half_width is None or not isfinite(half_width) or half_width <= 0.0:
+        return None
+    place = floor(log10(half_width))
+    return max(0, -place + (half_width < 2.0 * 10.0**place))
+
+
+def rounded(value: float, half_width: float | None) -> str:
+    """Return a value with the decimals that its half width allows."""
+    places = decimals(half_width)
+    return f"{value:.3g}" if places is None else f"{value:.{places}f}"
+
+
+def tolerance(half_width: float | None, unit: str) -> str:
+    """Return ``± half width unit``; an unknown interval is said so."""
+    places = decimals(half_width)
+    return "interval not known" if places is None or half_width is None else f"± {half_width:.{places}f}{_space(unit)}"
+
+
+def _space(unit: str) -> str:
+    return f" {unit}" if unit and unit != "°" else unit

@@ -1,0 +1,57 @@
+"""The decision of a verdict: its kind, its candidates, and the codes of what remains or stays open."""
+
+from typing import Any
+
+import pytest
+
+from aerial_gym.sim2real.judge.decision import Decision, decide
+
+X, Z = ("specific_force.x",), ("angular_acceleration.z",)
+
+
+def codes(decision: Decision) -> list[str]:
+    return [finding.code for finding in decision.findings]
+
+
+def test_doubt_about_one_effect_is_not_put_on_the_others() -> None:
+    ties = {"rotor_drag": [], "com_offset": ["motor_tilt", "weak_motor"], "imu_bias": []}
+    found = decide(ties, ("rotor_speed.1",), floor_known=True)
+    assert found.kind == "ambiguous"
+    assert found.candidates == ("rotor_drag", "com_offset", "imu_bias", "motor_tilt", "weak_motor")
+    tie, rest = found.findings
+    assert (tie.code, tie.subject, tie.values) == (
+        "effect_tied",
+        "com_offset",
+        {"others": ["motor_tilt", "weak_motor"]},
+    )
+    assert (rest.code, rest.values) == ("remains_unexplained", {"channels": ["rotor_speed.1"]})
+
+
+@pytest.mark.parametrize(
+    ("effects", "found", "kind", "expected"),
+    [
+        (("rotor_drag",), {}, "explained", ["remains_near_floor"]),
+        (("rotor_drag",), {"left_open": X}, "explained", ["left_open"]),
+        (("rotor_drag",), {"of_flights": X}, "explained", ["offsets_of_flights", "remains_near_floor"]),
+        (("rotor_drag",), {"unexplained": X}, "unexplained", ["remains_unexplained"]),
+        (
+            ("rotor_drag",),
+            {"unexplained": X, "open_to": ("gusts",)},
+            "ambiguous",
+            ["remains_unexplained", "effects_open"],
+        ),
+        (("rotor_drag",), {"floor_known": False}, "explained", ["floor_unknown"]),
+        ((), {}, "none", []),
+        ((), {"of_flights": X}, "none", ["offsets_of_flights"]),
+        ((), {"left_open": Z}, "not shown", ["left_open"]),
+        ((), {"unexplained": X}, "unexplained", ["remains_unexplained"]),
+        ((), {"floor_known": False}, "none", ["floor_unknown"]),
+    ],
+)
+def test_kind_and_open_points_follow_from_what_remains(
+    effects: tuple[str, ...], found: dict[str, Any], kind: str, expected: list[str]
+) -> None:
+    given = {"unexplained": (), "floor_known": True} | found
+    decision = decide(dict.fromkeys(effects, ()), **given)
+    assert (decision.kind, codes(decision)) == (kind, expected)
+    assert decision.candidates == (*effects, *given.get("open_to", ()))

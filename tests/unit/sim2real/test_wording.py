@@ -1,0 +1,116 @@
+"""Every code has one template and is used; the golden file holds all sentences, which are short."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import aerial_gym.sim2real
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.findings import CODES, Finding, unit_key
+from aerial_gym.sim2real.wording import TEMPLATES, rendered, text
+from aerial_gym.sim2real.wording.effects import EFFECT_TEMPLATES
+from aerial_gym.sim2real.wording.words import rounded, tolerance
+from tests.unit.sim2real.finding_samples import EFFECT_SAMPLES, GOLDEN, SAMPLES, effect, golden
+
+ROOT = Path(aerial_gym.sim2real.__file__).parent
+LONGEST = 25
+"""Words of a sentence."""
+
+DATA_ROOMS = ("logs", "predict", "identify", "failures", "judge")
+"""Rooms that make findings and no sentences."""
+
+
+def test_the_golden_file_holds_the_sentence_of_every_sample() -> None:
+    """After a change of the wording: python -m tests.unit.sim2real.finding_samples."""
+    assert golden().splitlines() == GOLDEN.read_text(encoding="utf-8").splitlines()
+
+
+def test_every_code_has_a_template_and_a_sample() -> None:
+    assert TEMPLATES.keys() == CODES.keys()
+    assert {one.code for one in SAMPLES} == CODES.keys()
+    assert {one.subject for one in EFFECT_SAMPLES} >= EFFECT_TEMPLATES.keys()
+
+
+def test_every_effect_that_flights_can_show_has_its_own_sentence() -> None:
+    named = {name for name in EFFECTS if EFFECTS.get(name).sought} | {
+        "gusts",
+        "motor_failure",
+        "stuck_rotor",
+        "brown_out",
+    }
+    assert EFFECT_TEMPLATES.keys() == named
+
+
+def test_every_code_is_used() -> None:
+    sources = [path for path in ROOT.rglob("*.py") if "wording" not in path.parts and path.name != "findings.py"]
+    used = set(re.findall(r'"([a-z0-9_]+)"', "\n".join(path.read_text(encoding="utf-8") for path in sources)))
+    assert CODES.keys() - used == set()
+
+
+def test_sentences_are_short() -> None:
+    sentences = [(one.code, part) for one in SAMPLES for part in re.split(r"(?<=[.!?])\s+", text(one))]
+    long = [(code, part) for code, part in sentences if len(part.split()) > LONGEST]
+    assert [one for one in long if "needed" not in one[1].lower()] == []  # excitations are those of the effects
+
+
+def findings_in(path: Path) -> Iterator[ast.Call]:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "Finding":
+            yield node
+
+
+@pytest.mark.parametrize("room", DATA_ROOMS)
+def test_findings_hold_names_and_numbers_but_no_prose(room: str) -> None:
+    """No text with a blank within a call of ``Finding``."""
+    for path in (ROOT / room).rglob("*.py"):
+        for call in findings_in(path):
+            texts = [str(node.value) for node in ast.walk(call) if isinstance(node, ast.Constant)]
+            assert [text for text in texts if " " in text] == [], f"{path.name}:{call.lineno}: prose in a finding"
+
+
+def test_a_finding_of_an_unknown_code_is_refused() -> None:
+    with pytest.raises(KeyError, match="no_such_code"):
+        Finding("no_such_code")
+
+
+def test_findings_within_json_become_sentences() -> None:
+    note = Finding("few_flights", "", {"flights": 2})
+    assert rendered({"a": [note, 1.0], "b": (None,)}) == {"a": [text(note), 1.0], "b": [None]}
+
+
+@pytest.mark.parametrize(
+    ("unit", "key"),
+    [("m/s²", "m_s2"), ("-", "ratio"), ("N s²/(m rad)", "n_s2_m_rad"), ("rad/s", "rad_s"), ("kg m²", "kg_m2")],
+)
+def test_units_end_keys(unit: str, key: str) -> None:
+    assert unit_key(unit) == key
+
+
+@pytest.mark.parametrize(
+    ("value", "half_width", "shown"),
+    [
+        (5.513, 0.61, "5.5 ± 0.6"),
+        (5.513, 0.14, "5.51 ± 0.14"),
+        (1234.0, 30.0, "1234 ± 30"),
+        (0.04, 0.002, "0.040 ± 0.002"),
+    ],
+)
+def test_values_have_the_digits_that_their_intervals_allow(value: float, half_width: float, shown: str) -> None:
+    assert f"{rounded(value, half_width)} {tolerance(half_width, '')}" == shown
+
+
+@pytest.mark.parametrize(
+    ("x", "words"), [(0.004, "4.0 mm ahead of"), (-0.004, "4.0 mm behind"), (0.0003, "not certain")]
+)
+def test_a_direction_is_named_only_if_its_interval_holds_no_zero(x: float, words: str) -> None:
+    assert words in text(effect("com_offset", x=(x, 0.0, 0.0005)))
+    assert "left" not in text(effect("com_offset", x=(x, 0.0, 0.0005), y=(0.0004, 0.0, 0.0005)))
+
+
+@pytest.mark.parametrize(("scale", "word"), [(0.96, "less"), (1.04, "more")])
+def test_a_weak_and_a_strong_rotor_have_their_sign_in_words(scale: float, word: str) -> None:
+    sentence = text(effect("weak_motor", "front left", motor=(3.0, 1.0, None), scale=(scale, 1.0, 0.002)))
+    assert f"Rotor 3 (front left) gives 4.0 % {word} thrust" in sentence
