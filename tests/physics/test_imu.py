@@ -267,19 +267,6 @@ def test_reset_leaves_other_rows_bit_for_bit(cfg: ImuCfg) -> None:
         assert (new[mask] != old[mask]).any(-1).all()
 
 
-def test_same_seed_same_noise_and_restart() -> None:
-    first, second, other = (record_at_rest(NOISY, num_sensors=4, num_samples=5, dt=0.01, seed=s) for s in (3, 3, 4))
-    assert torch.equal(first, second)
-    assert (first != other).all()
-    rig = Rig(NOISY, 4, seed=3)
-    for _ in range(2):
-        rig.random.restart(3)
-        rig.reset()
-        for row in first:
-            rig.imu.measure()
-            assert torch.equal(rig.measurement, row)
-
-
 def test_tensors_and_times_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"dt = 0.0: must be > 0 and finite"):
         Rig(IDEAL, dt=0.0)

@@ -204,24 +204,6 @@ def test_reset_by_mask_leaves_moving_obstacles_of_others_bit_for_bit(motion: Mot
     assert (gtd["env_asset_state_tensor"][mask][..., :3] != before["env_asset_state_tensor"][mask][..., :3]).all()
 
 
-def test_draws_depend_on_seed_environment_and_episode_alone() -> None:
-    """Environment 1 is the same in a larger batch, and after another history of its neighbours."""
-    small, small_gtd = manager(TWIST, 2)
-    large, large_gtd = manager(TWIST, 7)
-    begin(large, torch.tensor([True, False, False, True, True, False, False]))
-    for made, num in ((small, 2), (large, 7)):
-        begin(made, torch.arange(num) == 1)
-    a, b = small_gtd["env_asset_state_tensor"], large_gtd["env_asset_state_tensor"]
-    assert torch.equal(a[1], b[1])
-    assert not torch.equal(a[0], b[0])
-    first = a.clone()
-    small.random.restart(1)
-    small.restart()
-    begin(small, torch.ones(2, dtype=torch.bool))
-    begin(small, torch.ones(2, dtype=torch.bool))
-    assert torch.equal(a[1], first[1])
-
-
 def simulate(env_name: str, num_envs: int = 4, *, robot_name: str = "base_quadrotor") -> EnvManager:
     env = simulation(robot_name, "lee_velocity_control", env=env_name, num_envs=num_envs)
     env.reset()

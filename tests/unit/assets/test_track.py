@@ -87,22 +87,6 @@ def test_a_reset_by_mask_leaves_other_tracks_alone() -> None:
     assert (env.gtd["gate_position"][mask] != first[mask]).all()
 
 
-@pytest.mark.parametrize("name", ["racing_env", "racing_random_track_env"])
-def test_a_track_is_the_same_alone_and_among_many(name: str) -> None:
-    many, again = simulate(name, 37, seed=3), simulate(name, 37, seed=3)
-    alone = simulate(name, 1, seed=3, first_env=17)
-    for env in (many, again, alone):
-        env.reset()
-        env.reset()  # of the second episode
-    for key in (*PLACES, *NOMINAL):
-        assert torch.equal(many.gtd[key], again.gtd[key]), key
-        assert torch.equal(many.gtd[key][17:18], alone.gtd[key]), key
-    other = simulate(name, 37, seed=4)
-    other.reset()
-    other.reset()
-    assert (other.gtd["gate_position"] != many.gtd["gate_position"]).all()
-
-
 def test_a_drawn_track_keeps_its_distances() -> None:
     """Within its rectangle always; distances where there is room, which is so in 19 of 20 tracks at the least."""
     env = simulate("racing_random_track_env", 2000)

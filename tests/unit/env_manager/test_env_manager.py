@@ -85,19 +85,6 @@ def test_reset_by_mask_leaves_other_rows_bit_for_bit(env_name: str) -> None:
     assert env.gtd["sim_steps"].tolist() == [5, 0, 5, 5, 0]
 
 
-def test_reset_draws_inside_the_declared_ranges() -> None:
-    env = build(512)
-    env.reset()
-    gtd = env.gtd
-    ratio = (gtd["robot_position"] - gtd["env_bounds_min"]) / (gtd["env_bounds_max"] - gtd["env_bounds_min"])
-    low, high = torch.tensor([0.1, 0.15, 0.15]), torch.tensor([0.2, 0.85, 0.85])
-    assert ((ratio >= low - 1e-6) & (ratio <= high + 1e-6)).all()
-    torch.testing.assert_close(ratio.mean(0), 0.5 * (low + high), atol=0.05, rtol=0)
-    assert gtd["robot_linvel"].abs().max() <= 0.2
-    assert gtd["robot_euler_angles"][:, :2].abs().max() < 1e-6
-    assert gtd["robot_euler_angles"][:, 2].abs().max() <= 0.53
-
-
 def test_actions_are_kept_at_the_rate_of_environment_steps() -> None:
     env = build(env_name="env_with_obstacles")
     env.reset()
@@ -119,25 +106,6 @@ def test_flying_into_a_wall_is_a_crash_and_clearance_tells_how_far() -> None:
         crashed |= env.gtd["crashes"]
         env.reset(env.gtd["crashes"])
     assert crashed.all()
-
-
-def test_effect_parameters_written_to_the_gtd_change_the_flight() -> None:
-    from dataclasses import replace
-
-    from aerial_gym.robots import ROBOTS
-
-    robot = replace(ROBOTS.get("tinyprop"), effects={"rotor_drag": {"dx": 0.0, "dy": 0.0, "dz": 0.0}})
-    env = simulation(robot)
-    env.reset()
-    for tensor in env.robot_manager.tensors.state.tensors():
-        tensor.copy_(tensor[:1].expand_as(tensor))
-    env.robot_manager.tensors.state.lin_vel.copy_(torch.tensor([2.0, 0.0, 0.0]))
-    env.gtd["effect_rotor_drag"][1] = 0.5
-    env.robot_manager.refresh_model()
-    for _ in range(20):
-        env.step(torch.full((2, 4), 0.373 * 9.81 / 4))
-    slow, fast = env.gtd["robot_linvel"][1].norm(), env.gtd["robot_linvel"][0].norm()
-    assert slow < fast - 0.1
 
 
 def test_wrong_requests_are_refused_by_name() -> None:

@@ -80,22 +80,6 @@ def test_headings_of_running_episodes_stay() -> None:
     assert torch.equal(task.values["target_yaw"] != before, begins)
 
 
-def test_a_drawn_heading_follows_from_seed_environment_and_episode() -> None:
-    """Alone, among few and among many; the point is that of ``drawn_point``."""
-    many, again, alone, other = drawn(37), drawn(37), drawn(1, first_env=17), drawn(37, seed=1)
-    point = drawn(37, generator="drawn_point")
-    for _ in range(3):
-        yaw = many.values["target_yaw"].clone()
-        assert torch.equal(yaw, again.values["target_yaw"])
-        assert torch.equal(yaw[17:18], alone.values["target_yaw"])
-        assert (yaw != other.values["target_yaw"]).all()
-        assert torch.equal(many.target_position, point.target_position)
-        for task in (many, again, alone, other, point):
-            task.step(torch.zeros(task.num_envs, 4))
-    with pytest.raises(ConfigError, match="command drawn_pose: .* 0 <= low <= high <= 1"):
-        make(1, command=CommandCfg(generator="drawn_pose", params={"low": (0.5, 0.0, 0.0), "high": (0.4, 1.0, 1.0)}))
-
-
 POINTS = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0))
 
 
