@@ -188,7 +188,7 @@ def external_urls(site: Path) -> list[str]:
 
 def test_external_urls_are_those_that_a_page_loads(tmp_path: Path) -> None:
     """A link that a reader may follow loads nothing."""
-    page = '<script src="https://a/x.js"></script><link rel="stylesheet" href="//b/y.css"><a href="https://c"></a><img src="z.png">'
+    page = '<script src="https://a/x.js"></script><link href="//b/y.css"><a href="https://c"></a><img src="z.png">'
     (tmp_path / "page.html").write_text(page, encoding="utf-8")
     (tmp_path / "style.css").write_text(
         "@font-face { src: url('https://d/f.woff') } i { src: url(g.woff) }", encoding="utf-8"
