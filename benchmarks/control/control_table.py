@@ -106,7 +106,7 @@ def _finite(value: str | float) -> str | float | None:
     return value if isinstance(value, str) or isfinite(value) else None
 
 
-def _held(error: float) -> str:
+def _error_text(error: float) -> str:
     return f"< {NEGLIGIBLE:g}" if error < NEGLIGIBLE else f"{error:.2g}"
 
 
@@ -121,7 +121,7 @@ def _controllers(flights: list[Flight]) -> list[str]:
     return list(dict.fromkeys(flight.controller for flight in flights))
 
 
-def _at(flights: list[Flight], controller: str, sim: str = COARSEST) -> list[Flight]:
+def _flights_of(flights: list[Flight], controller: str, sim: str = COARSEST) -> list[Flight]:
     """Return the flights of a controller at a sim."""
     return [flight for flight in flights if (flight.controller, flight.sim) == (controller, sim)]
 
@@ -129,7 +129,7 @@ def _at(flights: list[Flight], controller: str, sim: str = COARSEST) -> list[Fli
 def _largest(flights: list[Flight], error: Callable[[Flight], float]) -> str:
     """Return the largest error with its unit, and its robot if it is not negligible."""
     worst = max(flights, key=error)
-    text = f"{_held(error(worst))} {UNITS[worst.law]}"
+    text = f"{_error_text(error(worst))} {UNITS[worst.law]}"
     return text if error(worst) < NEGLIGIBLE else f"{text} (`{worst.robot}`)"
 
 
@@ -147,9 +147,9 @@ def controllers_table(flights: list[Flight]) -> str:
         "| --- | --- | --- |" + " --- |" * len(heads),
     ]
     for controller in _controllers(flights):
-        rows = _at(flights, controller)
+        rows = _flights_of(flights, controller)
         error = _largest(rows, lambda flight: flight.error) if rows else "-"
-        cells = [_summary(_at(flights, controller, sim)) for sim in COMPARED_SIMS]
+        cells = [_summary(_flights_of(flights, controller, sim)) for sim in COMPARED_SIMS]
         lines.append(f"| `{controller}` | {len(rows)} | {error} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
@@ -168,7 +168,7 @@ def steps_table(flights: list[Flight], refusals: list[Refusal], controllers: Ite
     controllers = [name for name in controllers if _holds_place(name)]
     cells: dict[tuple[str, str], str] = {}
     for flight in (f for f in flights if f.sim == COARSEST):
-        answer = f"{_answer(flight.settling_s, flight.overshoot)}, {_held(flight.error)}"
+        answer = f"{_answer(flight.settling_s, flight.overshoot)}, {_error_text(flight.error)}"
         lost = flight in own([flight]) and _is_lost(flight)
         cells[flight.robot, flight.controller] = f"{answer}, **lost**" if lost else answer
     for refusal in (r for r in refusals if r.sim == COARSEST):
@@ -187,8 +187,8 @@ def wind_table(flights: list[Flight]) -> str:
     ]
     held = [f for f in own(flights) if f.sim == COARSEST and f.law in HELD and f.wind_largest > 0.0]
     for controller in _controllers(held):
-        rows = _at(held, controller)
-        middle = f"{_held(median(f.wind_error for f in rows))} {UNITS[rows[0].law]}"
+        rows = _flights_of(held, controller)
+        middle = f"{_error_text(median(f.wind_error for f in rows))} {UNITS[rows[0].law]}"
         share = median(f.wind_error / f.wind_largest for f in rows)
         largest = _largest(rows, lambda flight: flight.wind_error)
         lines.append(f"| `{controller}` | {len(rows)} | {middle} | {largest} | {share:.0%} |")
@@ -225,7 +225,7 @@ def joints_table(flights: list[Flight]) -> str:
         rows = [flight for flight in flights if flight.robot == robot]
         overturned = sum(flight.tilt_rad > pi / 2 for flight in rows)
         lost = sum(not flight.overshoot < LOST for flight in rows)
-        error = next((_held(f.error) for f in rows if f.controller == "lee_position_control"), "-")
+        error = next((_error_text(f.error) for f in rows if f.controller == "lee_position_control"), "-")
         lines.append(f"| `{robot}` | {len(rows)} | {overturned} | {lost} | {sum(map(_is_lost, rows))} | {error} |")
     return "\n".join(lines)
 
@@ -305,7 +305,7 @@ def draw(flights: list[Flight], path: Path) -> None:
     figure.savefig(path, dpi=90)
 
 
-def _chosen(names: list[str] | None, robots: Iterable[str]) -> list[str]:
+def _selection(names: list[str] | None, robots: Iterable[str]) -> list[str]:
     return [name for name in robots if names is None or name in names]
 
 
@@ -322,7 +322,7 @@ def main() -> None:
         parser.error(f"--write {options.write}: no such page")
     torch.set_num_threads(1)
     controllers = options.controllers or [*geometric_controllers(), *named_controllers()]
-    rigid, bending = (_chosen(options.robots, different_robots(bend=bend)) for bend in (False, True))
+    rigid, bending = (_selection(options.robots, different_robots(bend=bend)) for bend in (False, True))
     flights, refusals = fly_all(rigid, controllers)
     own_gains = [name for name in controllers if name in geometric_controllers()]
     bent = fly_all([name for name in bending if holds_shape(ROBOTS.get(name))], own_gains, [COARSEST])

@@ -23,14 +23,14 @@ from benchmarks.control.control_flights import different_robots
 BEGIN, END = "<!-- table: begin, by python -m benchmarks.control.robot_table -->", "<!-- table: end -->"
 
 
-def shown_robots() -> list[str]:
+def table_robots() -> list[str]:
     """Return the robots of the table: rigid ones that fly differently, and those with joints in one mode of their drives."""
     bend = list(different_robots(bend=True))
-    alike = {name: next(first for first in bend if name == first or name in variants_of(first)) for name in bend}
+    alike = {name: next(first for first in bend if name == first or name in robot_variants(first)) for name in bend}
     return [*different_robots(), *dict.fromkeys(alike.values())]
 
 
-def variants_of(name: str) -> list[str]:
+def robot_variants(name: str) -> list[str]:
     """Return the registered robots that differ from one in sensors, shapes, effects, starts or drives only."""
     first = ROBOTS.get(name)
     same = [other for other in ROBOTS if (r := ROBOTS.get(other)).body == first.body and r.mounts == first.mounts]
@@ -81,7 +81,7 @@ def main() -> None:
     parser.add_argument("--robots", nargs="+", metavar="NAME", help="only these")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    names = [name for name in shown_robots() if options.robots is None or name in options.robots]
+    names = [name for name in table_robots() if options.robots is None or name in options.robots]
     text = page([check_robot(ROBOTS.get(name), name=name) for name in names])
     if options.write is None:
         print(text)

@@ -126,52 +126,64 @@ def quiet(seed: int, folder: Path, effect: str | None, flights: int, duration_s:
 
 
 def tables(fails: Sequence[dict], silent: Sequence[dict]) -> str:
-    """Return the tables of a page."""
-    lines = [
-        f"| hidden | flights | suspected | named right | within {SOON_S:g} s | suspected after [s] | named after [s] "
-        "| size: error, median and largest, inside | time: error [ms], median and largest, inside | `close-loop` right |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+    """Return the tables of a page: names and delays, errors of size and onset, and flights without a failure."""
+    names = [
+        f"| failure | named right | of these within {SOON_S:g} s | suspected after, median (largest) [s] "
+        "| named after, median (largest) [s] | right in `close-loop` |",
+        "| --- | --- | --- | --- | --- | --- |",
     ]
-    for kind in (*KINDS, "all"):
-        rows = [row for row in fails if kind in ("all", row["truth"]["kind"])]
+    errors = [
+        "| failure | size: median, largest | inside | onset [ms]: median, largest | inside |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for kind in KINDS:
+        rows = [row for row in fails if row["truth"]["kind"] == kind]
         if not rows:
             continue
         named = [row["watch"][NAMED] for row in rows if NAMED in row["watch"]]
-        seen = [row["watch"][SUSPECTED]["delay_s"] for row in rows if SUSPECTED in row["watch"]]
+        suspected = [row["watch"][SUSPECTED]["delay_s"] for row in rows if SUSPECTED in row["watch"]]
         right = [one for one in named if one["right"]]
         size, unit = ("speed", " rad/s") if kind == "stuck_rotor" else ("scale", "")
         soon = sum(one["delay_s"] <= SOON_S for one in right)
         loop = sum(bool(row["close_loop"] and row["close_loop"]["right"]) for row in rows)
-        lines.append(
-            f"| {kind} | {len(rows)} | {len(seen)} | {len(right)} | {soon} | {_spread(seen)} "
-            f"| {_spread([one['delay_s'] for one in right])} | {_errors(right, size, 1.0, unit)} "
-            f"| {_errors(right, 'time', 1e3)} | {loop} |"
+        names.append(
+            f"| `{kind}` | {len(right)} of {len(rows)} | {soon} | {_spread(suspected)} "
+            f"| {_spread([one['delay_s'] for one in right])} | {loop} of {len(rows)} |"
         )
-    lines += ["", "| nothing fails; hidden | hours | told by `watch` | by `close-loop` |", "| --- | --- | --- | --- |"]
-    plain, others = ([r for r in silent if (r["hidden"] == "nothing") == wanted] for wanted in (True, False))
-    for name, rows in (("nothing", plain), (f"one of {len(others)} effects, large", others)):
+        errors.append(f"| `{kind}` | {_errors(right, size, 1.0, unit)} | {_errors(right, 'time', 1e3)} |")
+    return "\n".join((*names, "", *errors, "", *_alarms(silent)))
+
+
+def _alarms(silent: Sequence[dict]) -> list[str]:
+    """Return the table of flights without a failure."""
+    lines = [
+        "| flights without a failure | hours | alarms of `watch` | alarms of `close-loop` |",
+        "| --- | --- | --- | --- |",
+    ]
+    plain, effects = ([r for r in silent if (r["hidden"] == "nothing") == wanted] for wanted in (True, False))
+    for name, rows in (("nothing hidden", plain), (f"one of {len(effects)} large effects hidden", effects)):
         if rows:
-            told = [
+            watch = [
                 f"{one['name']} ({row['hidden']})" for row in rows for one in row["watch"] if one["stage"] == SUSPECTED
             ]
-            found = [f"{one['name']} ({row['hidden']})" for row in rows for one in row["close_loop"]]
+            loop = [f"{one['name']} ({row['hidden']})" for row in rows for one in row["close_loop"]]
             hours = sum(row["hours"] for row in rows)
-            lines.append(f"| {name} | {hours:.2f} | {', '.join(told) or 'nothing'} | {', '.join(found) or 'nothing'} |")
-    return "\n".join(lines)
+            lines.append(f"| {name} | {hours:.2f} | {', '.join(watch) or 'none'} | {', '.join(loop) or 'none'} |")
+    return lines
 
 
 def _spread(values: Sequence[float]) -> str:
-    return f"{median(values):.2f} (at most {max(values):.2f})" if values else "-"
+    return f"{median(values):.2f} ({max(values):.2f})" if values else "-"
 
 
 def _errors(rows: Sequence[dict], name: str, scale: float, unit: str = "") -> str:
     own = [row for row in rows if name in row["error"]]
     if not own:
-        return "-"
+        return "- | -"
     inside = sum(row["inside"][name] for row in own)
     errors = [scale * abs(row["error"][name]) for row in own]
     middle, largest = (f"{error:.0f}" if error >= 100.0 else f"{error:.2g}" for error in (median(errors), max(errors)))
-    return f"{middle} and {largest}{unit}, {inside} of {len(own)}"
+    return f"{middle}, {largest}{unit} | {inside} of {len(own)}"
 
 
 def main() -> int:

@@ -128,20 +128,20 @@ class Score:
 
 
 def score_stream(flights: list[FlightLog], sizes: list[float], rng: np.random.Generator) -> None:
-    """Print what a watch tells, of logs as they are, with jumps, and with sensors that stand still."""
+    """Print the reports of ``Watch`` for the logs as they are, with jumps, and with frozen sensors."""
     plain = [text(fault.finding) for log in flights for fault, _ in streamed(log)]
-    print(f"told as logged: {len(plain)} {plain}")
+    print(f"reported as logged: {len(plain)} {plain}")
     print(
-        f"| put in | flights | found | told within {SOON_S:g} s | told after: median, largest [s] | error of the size: "
-        "median, largest [m] | others told |"
+        f"| fault | flights | found | of these within {SOON_S:g} s | reported after: median, largest [s] | error of the size: "
+        "median, largest [m] | other reports |"
     )
     print("| --- | --- | --- | --- | --- | --- | --- |")
     for size in sizes:
         print(jumps_streamed(flights, size, rng).row(f"jump and return, {size:g} m"), flush=True)
     for sensor in SENSORS:
-        print(stops_streamed(flights, sensor, rng).row(f"{sensor} stands still"), flush=True)
+        print(stops_streamed(flights, sensor, rng).row(f"frozen {sensor}"), flush=True)
     for size in sizes:
-        print(jumps_streamed(flights, size, rng, returns=False).row(f"jump that stays, {size:g} m"), flush=True)
+        print(jumps_streamed(flights, size, rng, returns=False).row(f"jump without return, {size:g} m"), flush=True)
 
 
 def jumps_streamed(flights: list[FlightLog], size: float, rng: np.random.Generator, *, returns: bool = True) -> Score:
@@ -194,9 +194,9 @@ def main() -> None:
         print(f"{len(flights)} flights, {seconds:.0f} s")
         score_stream(flights, args.sizes, rng)
         return
-    print(f"{len(flights)} flights, {seconds:.0f} s: {sum(len(told(log)) for log in flights)} jumps told as logged")
-    print(f"largest difference as logged: {max(map(largest_share, flights)):.2f} of what tells a jump")
-    print("| size [m] | flights | both steps found | size, error of the median and the largest [m] | others told |")
+    print(f"{len(flights)} flights, {seconds:.0f} s: {sum(len(told(log)) for log in flights)} jumps reported as logged")
+    print(f"largest difference as logged: {max(map(largest_share, flights)):.2f} of the limit of a jump")
+    print("| size [m] | flights | found | error of the size: median, largest [m] | other jumps reported |")
     print("| --- | --- | --- | --- | --- |")
     for size in args.sizes:
         right, others, off = 0, 0, []

@@ -65,7 +65,7 @@ def _groups(rows: list[Row], key: Callable[[Row], tuple[str, ...]]) -> dict[tupl
     return groups
 
 
-def _judged(row: Row) -> str:
+def _judgement(row: Row) -> str:
     return "error" if "error" in row else row["judgement"]
 
 
@@ -80,17 +80,17 @@ def _names(rows: list[Row]) -> str:
     groups["all"] = [{**row, "named": []} for row in rows]
     for name, group in groups.items():
         by_size = {size: [r for r in group if r["size"] == size] for size in sizes}
-        right = [f"{sum(_judged(r) == 'right' for r in cases)} of {len(cases)}" for cases in by_size.values()]
-        others = "; ".join(f"{size}: {text}" for size, cases in by_size.items() if (text := _others(cases)))
-        lines.append(f"| {name} | {' | '.join(right)} | {others or '-'} |")
+        right = [f"{sum(_judgement(r) == 'right' for r in cases)} of {len(cases)}" for cases in by_size.values()]
+        rest = "; ".join(f"{size}: {text}" for size, cases in by_size.items() if (text := _other_judgements(cases)))
+        lines.append(f"| {name} | {' | '.join(right)} | {rest or '-'} |")
     return "\n".join(lines)
 
 
-def _others(rows: list[Row]) -> str:
+def _other_judgements(rows: list[Row]) -> str:
     """Return the judgements of cases that are not right, each with its number and the names that were given."""
     parts = []
     for judgement in JUDGEMENTS[1:]:
-        group = [r for r in rows if _judged(r) == judgement]
+        group = [r for r in rows if _judgement(r) == judgement]
         names = ", ".join(sorted({"+".join(r["named"]) for r in group if r["named"]}))
         if group:
             parts.append(f"{len(group)} {judgement}" + (f" ({names})" if names else ""))
@@ -99,8 +99,8 @@ def _others(rows: list[Row]) -> str:
 
 def _parameters(rows: list[Row]) -> str:
     """Return errors and coverage of the parameters of effects that were named, whatever else was."""
-    found = [(r["size"], p) for r in rows for p in r.get("parameters", [])]
-    if not found:
+    parameters = [(r["size"], p) for r in rows for p in r.get("parameters", [])]
+    if not parameters:
         return ""
     lines = [
         "## How accurate are the parameters?",
@@ -112,22 +112,22 @@ def _parameters(rows: list[Row]) -> str:
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     groups: dict[tuple[str, str], list[dict]] = {}
-    for _, p in found:
+    for _, p in parameters:
         groups.setdefault((p["effect"], p["name"]), []).append(p)
     for (effect, name), group in groups.items():
         error = np.array([abs(p["value"] - p["true"]) for p in group])
         true = np.array([abs(p["true"]) for p in group])
         relative = np.median(error[true > 0.0] / true[true > 0.0]) if np.any(true > 0.0) else np.nan
-        cover = share(sum(_inside(p) for p in group), len(group))
+        cover = share(sum(_covers_truth(p) for p in group), len(group))
         lines.append(
             f"| {effect} | {name} | {len(group)} | {np.median(error):.3g} | {error.max():.3g} | {relative:.2%} | {cover} |"
         )
-    everything = share(sum(_inside(p) for _, p in found), len(found))
-    lines.append(f"| all | all | {len(found)} | - | - | - | {everything} |")
+    total = share(sum(_covers_truth(p) for _, p in parameters), len(parameters))
+    lines.append(f"| all | all | {len(parameters)} | - | - | - | {total} |")
     return "\n".join(lines)
 
 
-def _inside(parameter: dict) -> bool:
+def _covers_truth(parameter: dict) -> bool:
     return abs(parameter["value"] - parameter["true"]) < 1.96 * parameter["std"]
 
 
@@ -156,7 +156,7 @@ def _controls(rows: list[Row]) -> str:
         "| --- | --- | --- | --- |",
     ]
     for (flights,), group in _groups(rows, lambda r: (" ".join(r["features"]) or "plain",)).items():
-        alarms = [r for r in group if _judged(r) == "false alarm"]
+        alarms = [r for r in group if _judgement(r) == "false alarm"]
         named = ", ".join(sorted({"+".join(r["named"]) for r in alarms})) or "-"
         lines.append(f"| {flights} | {len(group)} | {share(len(alarms), len(group))} | {named} |")
     return "\n".join(lines)
@@ -169,12 +169,12 @@ def _unknown_table(rows: list[Row]) -> str:
     lines += ["| cause | size | cases | given the name of an effect | which | verdicts | structure |"]
     lines += ["| --- | --- | --- | --- | --- | --- | --- |"]
     for (name, size), group in _groups(rows, lambda r: (r["hidden"], r["size"])).items():
-        given = [r for r in group if _judged(r) == "given a name"]
-        which = ", ".join(sorted({"+".join(r["named"]) for r in given})) or "-"
+        given = [r for r in group if _judgement(r) == "given a name"]
+        names = ", ".join(sorted({"+".join(r["named"]) for r in given})) or "-"
         verdicts = ", ".join(sorted({r["verdict"] for r in group}))
         kinds = ", ".join(sorted({str((r.get("structure") or {}).get("kind", "-")) for r in group}))
         lines.append(
-            f"| {name} | {size} | {len(group)} | {share(len(given), len(group))} | {which} | {verdicts} | {kinds} |"
+            f"| {name} | {size} | {len(group)} | {share(len(given), len(group))} | {names} | {verdicts} | {kinds} |"
         )
     return "\n".join(lines)
 

@@ -6,7 +6,7 @@ import torch
 
 from aerial_gym.robots import ROBOTS
 from benchmarks.control.control_flights import Drives, different_robots, figures, holds_shape
-from benchmarks.control.robot_table import shown_robots
+from benchmarks.control.robot_table import table_robots
 
 LEVEL = {"robot_orientation": torch.tensor([[0.0, 0.0, 0.0, 1.0]]), "robot_body_angvel": torch.zeros(1, 3)}
 
@@ -32,7 +32,7 @@ def test_robots_that_bend_fly_beside_rigid_ones_but_not_on_a_stand() -> None:
     assert not set(bend) & set(different_robots())
     assert "morphy_fixed_base" not in bend
     assert [name for name in bend if not holds_shape(ROBOTS.get(name))][:2] == ["snakey", "snakey_effort"]
-    assert shown_robots()[-5:] == ["tilt_tricopter", "morphy", "snakey", "snakey5", "snakey6"]
+    assert table_robots()[-5:] == ["tilt_tricopter", "morphy", "snakey", "snakey5", "snakey6"]
 
 
 def test_a_response_with_nan_has_not_settled() -> None:

@@ -40,10 +40,10 @@ def test_the_tables_count_what_is_named_and_what_is_told_of_nothing() -> None:
         {"hidden": "gusts", "hours": 0.25, "watch": [{"stage": "suspected", "name": "weak_motor"}], "close_loop": []},
     ]
     lines = tables(fails, silent).splitlines()
-    assert lines[2].startswith("| motor_failure | 2 | 2 | 1 | 1 | 2.49 (at most 2.49) |")
-    assert lines[2].endswith("| 0.005 and 0.005, 1 of 1 | 10 and 10, 1 of 1 | 1 |")
-    assert lines[-2] == "| nothing | 0.50 | nothing | nothing |"
-    assert lines[-1] == "| one of 1 effects, large | 0.25 | weak_motor (gusts) | nothing |"
+    assert lines[2] == "| `motor_failure` | 1 of 2 | 1 | 2.49 (2.49) | 2.49 (2.49) | 1 of 2 |"
+    assert lines[6] == "| `motor_failure` | 0.005, 0.005 | 1 of 1 | 10, 10 | 1 of 1 |"
+    assert lines[-2] == "| nothing hidden | 0.50 | none | none |"
+    assert lines[-1] == "| one of 1 large effects hidden | 0.25 | weak_motor (gusts) | none |"
 
 
 def test_a_stuck_rotor_has_its_speed_as_its_size_and_late_names_do_not_count_as_soon() -> None:
@@ -55,7 +55,6 @@ def test_a_stuck_rotor_has_its_speed_as_its_size_and_late_names_do_not_count_as_
         found = replace(failure("a"), name="stuck_rotor", params=params, interval=ends)
         one = judged(found, hidden, told=told, speed=705.0)
         rows.append({"truth": hidden.document(), "watch": {"suspected": one, "named": one}, "close_loop": None})
-    line = tables(rows, []).splitlines()[2]
-    assert line.startswith("| stuck_rotor | 2 | 2 | 2 | 1 |")
-    assert "| 4 and 5 rad/s, 1 of 2 |" in line
-    assert tables(rows, []).splitlines()[3].count(" | - | ") == 1
+    lines = tables(rows, []).splitlines()
+    assert lines[2].startswith("| `stuck_rotor` | 2 of 2 | 1 |")
+    assert lines[6].startswith("| `stuck_rotor` | 4, 5 rad/s | 1 of 2 |")
