@@ -33,7 +33,7 @@ _OWNER = "AssetManager"
 
 @with_usual_settings
 class AssetManager:
-    """Owns the obstacle states. Rows are kept assets first, then the others, shuffled in each environment."""
+    """Obstacle states of all environments. Kept assets have the first rows; the others follow, shuffled in each environment."""
 
     def __init__(
         self,
@@ -51,17 +51,16 @@ class AssetManager:
         robot_state: Tensor | None = None,
         robot_links: Sequence[str] = (BASE,),
     ) -> None:
-        """Draw which obstacles each environment has, build the scene and park everything until the first reset.
+        """Draw the obstacles of each environment, build the scene and park everything until the first reset.
 
         Args:
             gtd: Receives this manager's keys.
-            device: Where the tensors are.
             bounds_min: Lower corner of the bounds [m], world, (E, 3); read at every reset.
             bounds_max: Upper corner [m], world, (E, 3).
             asset_state: Memory for the obstacle states, float32, (E, A, 13); allocated if not given.
-            robot_radius: How far the robot reaches from its origin [m]; ``cfg.clearance`` is counted from there.
-            robot_parts: What sensors see of the robot, in the frames of its links.
-            robot_state: States of these, float32, (E, L, 13), or (E, 13) of one; needed if anything of it is seen.
+            robot_radius: Radius of the robot about its origin [m]; ``cfg.clearance`` is added to it.
+            robot_parts: Parts of the robot that sensors see, in the frames of its links.
+            robot_state: States of the links, float32, (E, L, 13), or (E, 13) of one link; needed with ``robot_parts``.
 
         Raises:
             ConfigError: If a mesh or URDF file cannot be used.
@@ -101,35 +100,33 @@ class AssetManager:
         self._park_all()
 
     def restart(self) -> None:
-        """Draw anew which obstacles each environment has, after another seed was given; all are parked until the next reset."""
+        """Draw the obstacles of each environment for a new seed, and park all of them until the next reset."""
         self.draw_kinds()
         self._park_all()
 
     def draw_kinds(self) -> None:
-        """Give every instance the asset and shape that follow from the seed."""
+        """Draw the asset and shape of every instance from the seed."""
         self.scene.relabel(*self._draw_kinds())
         if self._clearance is not None:
             self._clearance.restart()
 
     def set_num_obstacles(self, count: int) -> None:
-        """Make ``count`` of the assets that are not kept present from the next reset on; the rest will be parked.
+        """Set the number of removable assets from the next reset on; the rest will be parked.
 
         Raises:
             ConfigError: If there are not that many.
         """
         removable = self.num_assets - self.cfg.num_kept
         if not 0 <= count <= removable:
-            raise ConfigError(
-                f"num_obstacles = {count}: this environment has 0 to {removable} that are not always kept"
-            )
+            raise ConfigError(f"num_obstacles = {count}: this environment has 0 to {removable} removable obstacles")
         self._num_obstacles.fill_(count)
 
     def take_num_obstacles(self, count: Tensor) -> None:
-        """Do the same with an integer tensor (1,) on the device, which must lie in range: nothing waits to look at it."""
+        """Set the number of removable assets from an integer tensor (1,) on the device, without a check of its range."""
         self._num_obstacles.copy_(count)
 
     def reset(self, mask: Tensor) -> None:
-        """Place the obstacles of masked environments anew, with new twists; other rows are bit-for-bit untouched.
+        """Draw places and twists of obstacles in masked environments; all other rows keep their bits.
 
         Args:
             mask: Environments to reset, bool, (E,).
@@ -144,17 +141,17 @@ class AssetManager:
             self._prev_env_actions.masked_fill_(mask[:, None, None], 0.0)
 
     def take_actions(self, env_actions: Tensor) -> None:
-        """Give the obstacles that move by twist new ones, and keep those before in ``prev_env_actions``.
+        """Set the twists of moving obstacles, and keep the previous ones in ``prev_env_actions``.
 
         Args:
-            env_actions: Velocity [m/s] and angular velocity [rad/s], world, (E, A, 6); rows of other obstacles are not used.
+            env_actions: Velocity [m/s] and angular velocity [rad/s], world, (E, A, 6); rows of all other obstacles are ignored.
 
         Raises:
-            ConfigError: If nothing here moves.
-            ShapeError: If the shape is another.
+            ConfigError: If no obstacle moves.
+            ShapeError: If the shape differs.
         """
         if self._motion is None:
-            raise ConfigError("env_actions: nothing moves in this environment. Give an asset motion: {kind: twist}")
+            raise ConfigError("env_actions: no obstacle of this environment moves. Give an asset motion: {kind: twist}")
         shape = tuple(self._env_actions.shape)
         if tuple(env_actions.shape) != shape:
             raise ShapeError(f"env_actions has shape {tuple(env_actions.shape)}, expected (E, A, 6) = {shape}")
@@ -163,12 +160,12 @@ class AssetManager:
         self._motion.take_twists()
 
     def step(self, dt: float) -> None:
-        """Move the obstacles of assets that move by ``dt`` [s]; launched on torch's current stream, not waited for."""
+        """Launch the motion of moving obstacles over ``dt`` [s] on torch's current stream."""
         if self._motion is not None:
             self._motion.step(dt)
 
     def track_from(self, start: Tensor) -> None:
-        """Take where robots start [m], world, (E, 3), from which ``place_track`` draws the race tracks of environments."""
+        """Set the start positions of robots [m], world, (E, 3), for the race tracks of ``place_track``."""
         if self.cfg.track is not None:
             from aerial_gym.assets.track import TrackPlacement
 
@@ -182,7 +179,7 @@ class AssetManager:
             )
 
     def place_track(self, mask: Tensor) -> None:
-        """Place the gates and poles of masked environments anew, after ``reset`` and where the robot starts is known.
+        """Draw the gates and poles of masked environments, after ``reset`` and the draw of the robot's start.
 
         Args:
             mask: Environments that begin an episode, bool, (E,).
@@ -192,16 +189,16 @@ class AssetManager:
             self._track.draw()
 
     def surface_below(self, position: Tensor, *, height_out: Tensor) -> "SurfaceBelow":
-        """Return what writes the height of the surface below positions (E, 3) to ``height_out`` (E,) [m], world."""
+        """Return the probe that writes the height of the surface below positions (E, 3) to ``height_out`` (E,) [m], world."""
         from aerial_gym.assets.below import SurfaceBelow
 
         return SurfaceBelow(self.scene, position=position, height_out=height_out)
 
     def clear_start(self, mask: Tensor, position: Tensor) -> None:
-        """Draw again, or park, the obstacles of masked environments that are too close to where the robot starts.
+        """Redraw, or park, obstacles of masked environments that are too close to the robot's start.
 
-        Afterwards every obstacle whose place is drawn is at least ``cfg.clearance`` from the robot. Call it after
-        ``reset``; nothing happens where the environment asks for no clearance.
+        Afterwards every obstacle with a drawn place is at least ``cfg.clearance`` from the robot. Call it after
+        ``reset``; without a clearance it does nothing.
 
         Args:
             mask: Environments that begin an episode, bool, (E,).
@@ -213,7 +210,7 @@ class AssetManager:
             self._clearance.clear(mask, position, which=START)
 
     def clear_goal(self, mask: Tensor, position: Tensor) -> None:
-        """Do the same around a goal, so that a robot there has the room; the room around the start stays.
+        """Clear the surroundings of a goal likewise; those of the start stay clear.
 
         Args:
             mask: Environments with a new goal, bool, (E,).
@@ -272,7 +269,7 @@ class AssetManager:
             self._waypoints = declare("obstacle_waypoints", (*rows, 2, 3), "m", meaning, None, real)
 
     def _draw_kinds(self) -> tuple[Tensor, Tensor]:
-        """Draw which asset each instance is; return its row of the shape table and its semantic id, int64, each (E, A)."""
+        """Draw the asset of each instance; return its row of the shape table and its semantic id, int64, each (E, A)."""
         assets, device = self._assets, self._device
         asset, choice = draw_kinds(assets, self.random)
         self._asset.copy_(asset)
@@ -300,13 +297,13 @@ class AssetManager:
         )
 
     def _make_motion(self) -> "Motion":
-        """Return what moves the obstacles; imported only where some do, as an import of Warp functions takes long."""
+        """Return the motion of obstacles. The import is local because Warp functions take long to import."""
         from aerial_gym.assets.motion import Motion
 
         return Motion(self._obstacles, twists=self._env_actions)
 
     def _make_clearance(self, room: float) -> "Clearance":
-        """Return what keeps start and goal clear [m]; imported only where it is asked for, likewise."""
+        """Return the clearance of start and goal with a margin [m]; the import is local likewise."""
         from aerial_gym.assets.clearance import Clearance
 
         return Clearance(self.scene, self._obstacles, mask=self.random.mask, room=room)

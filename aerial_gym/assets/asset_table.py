@@ -1,4 +1,4 @@
-"""The asset table: what kernels know of every asset of an environment file, one row each.
+"""The asset table: one row of parameters for each asset of an environment file, for use in kernels.
 
 Frames: world of each environment, z up.
 """
@@ -16,12 +16,12 @@ STILL, TWIST, WAYPOINTS = (wp.constant(i) for i in range(len(MOTIONS)))
 """Kinds of motion, in the order of ``MOTIONS``."""
 
 PASS, BOUNCE, WRAP = (wp.constant(i) for i in range(len(AT_BOUNDS)))
-"""What happens at the bounds, in the order of ``AT_BOUNDS``."""
+"""Behaviour at the bounds, in the order of ``AT_BOUNDS``."""
 
 
 @wp.struct
 class AssetRow:
-    """From what the instances of one asset are drawn, and how they move."""
+    """Ranges of the draws of one asset's instances, and their motion."""
 
     ratio_low: wp.vec3  # place, as a share of the bounds
     ratio_high: wp.vec3
@@ -40,7 +40,7 @@ class AssetRow:
 
 
 def asset_table(assets: Sequence[AssetCfg], *, device: torch.device) -> wp.array:
-    """Return a row for each asset, on the device."""
+    """Return the rows of all assets on the device."""
     start_warp()
     rows = np.zeros(len(assets), dtype=AssetRow.numpy_dtype())  # type: ignore[call-overload]
     for row, asset in zip(rows, assets, strict=True):

@@ -1,4 +1,4 @@
-"""How high what is below each robot stands: one ray straight down against all that can be touched.
+"""Height of the surface below each robot: one vertical ray against all solid parts.
 
 Frames: world of each environment, z up. Letters: E environments, P parts of all instances.
 """
@@ -14,12 +14,12 @@ from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.interop import RecordedLaunch
 
 FARTHEST = wp.constant(1.0e4)
-"""Length of the ray [m]: what is farther below is not there."""
+"""Length of the ray [m]; surfaces beyond it are ignored."""
 
 
 @wp.func
 def _fall(scene: SceneArrays, env: int, part: int, start: wp.vec3, limit: float) -> float:
-    """Return the way straight down to a part [m], or ``limit`` if that is shorter."""
+    """Return the vertical distance down to a part [m], at most ``limit``."""
     shape = scene.shapes[scene.part_shape[env, part]]
     turn = part_attitude(scene, env, part)
     origin = wp.quat_rotate_inv(turn, start - part_position(scene, env, part)) - shape.center
@@ -39,7 +39,7 @@ def _look_down(
     # out
     height_out: wp.array[float],  # (E,) world [m]
 ):
-    """Write the height of the first surface below, that of the end of the ray where there is none."""
+    """Write the height of the first surface below each position, or of the ray's end without one."""
     env = wp.tid()
     start = position[env]
     way = float(FARTHEST)
@@ -50,7 +50,7 @@ def _look_down(
 
 
 class SurfaceBelow:
-    """Looks straight down from the body origins, with all views made at construction."""
+    """Vertical rays down from the body origins; all views are made at construction."""
 
     def __init__(self, scene: Scene, *, position: Tensor, height_out: Tensor) -> None:
         """Take views of the tensors, which must stay where they are.
@@ -75,5 +75,5 @@ class SurfaceBelow:
         )
 
     def find(self) -> None:
-        """Write the heights; launched on torch's current stream, not waited for."""
+        """Launch the measurement of heights on torch's current stream."""
         self._launch.launch(self._out)

@@ -1,8 +1,7 @@
-"""Whether the links of an articulated robot touch each other, now or during a step.
+"""Self-collision of an articulated robot: contact between its links, now or during a step.
 
-Every pair of shapes on different links is measured and swept as the collision test does with a shape and a part. Pairs that
-always touch are left out: those on links that a joint connects (a link without shapes is skipped), and those that touch in
-the reference pose.
+Every pair of shapes on different links is measured and swept as in the collision test. Pairs that always touch are excluded:
+pairs on links that a joint connects (links without shapes are skipped), and pairs that touch in the reference pose.
 Frames: shapes in the frames of their links, which are the body's in the reference pose. Letters: E environments, C shapes, L
 links, K substeps, N pairs.
 """
@@ -32,7 +31,7 @@ _touches = make_touches(cores=True, meshes=False)
 
 @wp.func
 def _gap(one: Shape, x: wp.vec3, q: wp.quat, other: BodyShape, y: wp.vec3, p: wp.quat, limit: float) -> float:
-    """Return the signed distance of two shapes on links at poses (x, q) and (y, p) [m], or ``limit`` if that is smaller."""
+    """Return the signed distance of two shapes on links at poses (x, q) and (y, p) [m], at most ``limit``."""
     return shape_gap(one, x + wp.quat_rotate(q, one.position), q * one.attitude, other, y, p, limit)
 
 
@@ -44,7 +43,7 @@ def _in_reference(
     # out
     gap_out: wp.array[float],  # (N,) [m]
 ):
-    """Write how far the shapes of each pair are from each other in the reference pose."""
+    """Write the signed distance of each pair of shapes in the reference pose."""
     n = wp.tid()
     unit, zero = wp.quat_identity(), wp.vec3()
     gap_out[n] = _gap(shapes[pairs[n, 0]], zero, unit, body[pairs[n, 1]], zero, unit, float(wp.inf))
@@ -63,12 +62,12 @@ def _meet(
         wp.vec3
     ],  # (K + 1, E, L) at the start of a step and after each substep, or (1, E, L), world [m]
     attitude: wp.array3d[wp.quat],  # (K + 1, E, L) link to world, xyzw
-    is_step: wp.bool,  # whether touches are crashes
+    is_step: wp.bool,  # whether contacts are crashes
     # out
     distance_out: wp.array[float],  # (E,) [m]
     crashes_out: wp.array[wp.bool],  # (E,) set where links touch at or between the poses
 ):
-    """Write the least signed distance of two links of an environment at the last pose."""
+    """Write the least signed distance between links at the last pose, and set crashes of a step."""
     e = wp.tid()
     last = position.shape[0] - 1
     nearest = float(wp.inf)
@@ -98,7 +97,7 @@ def _meet(
 
 
 class BetweenLinks:
-    """Signed distances between the links of one robot per environment, with all views made at construction."""
+    """Signed distances between the links of one robot per environment; all views are made at construction."""
 
     def __init__(
         self,
@@ -114,13 +113,13 @@ class BetweenLinks:
 
         Args:
             names: Of the links, L of them, the base first.
-            parents: Link on which each but the base sits, L - 1 of them.
+            parents: Parent of each link but the base, L - 1 of them.
             pivots: Point of each link's frame that moves in a straight line between two poses [m], L of them.
             state: Position [m] and attitude, xyzw, of the links first, world, (E, L, 13).
             distance_out: Receives the least signed distance of two links [m], negative where they overlap, float32, (E,).
 
         Raises:
-            ConfigError: If there is no pair to look at.
+            ConfigError: If no pair is left to test.
         """
         device = state.device
         check_tensor("distance_out", distance_out, (len(state),), device=device)
@@ -131,7 +130,7 @@ class BetweenLinks:
             body = body_shapes(cfg.shapes, device=device)
             links = [list(names).index(shape.link) for shape in cfg.shapes]
             self.pairs = pairs_apart(cfg, names=names, parents=parents, device=device)
-            """Pairs of places in ``cfg.shapes`` that are looked at."""
+            """Tested pairs of indices into ``cfg.shapes``."""
             pairs = wp.array(self.pairs, dtype=wp.int32, device=self._place, ndim=2)
             self._fixed = [self._table.array, body, wp.array(links, dtype=wp.int32, device=self._place), pairs]
             self._fixed.append(wp.array(list(pivots), dtype=wp.vec3, device=self._place))
@@ -141,7 +140,7 @@ class BetweenLinks:
         self._step: RecordedLaunch | None = None
 
     def follow(self, position: Tensor, attitude: Tensor, *, crashes_out: Tensor) -> None:
-        """Make ready for ``step``.
+        """Record the launches of ``step``.
 
         Args:
             position: Origins of the frames of links at the start of a step and after each substep [m], world,
@@ -168,11 +167,11 @@ class BetweenLinks:
         )
 
     def measure(self) -> None:
-        """Write the distances of the present poses; launched on torch's current stream, not waited for."""
+        """Launch the measurement at the present poses on torch's current stream."""
         self._now.launch(self._out)
 
     def step(self) -> None:
-        """Set crashes, write the distances after the last substep; launched likewise."""
+        """Launch the test of a step: it sets crashes and writes the distances after the last substep."""
         assert self._step is not None
         self._step.launch(self._out)
 
@@ -180,12 +179,11 @@ class BetweenLinks:
 def pairs_apart(
     cfg: CollisionCfg, *, names: Sequence[str], parents: Sequence[int], device: torch.device
 ) -> list[tuple[int, int]]:
-    """Return pairs of places in ``cfg.shapes`` on links that no joint connects, which are apart in the reference pose.
+    """Return pairs of indices into ``cfg.shapes``, on links without a common joint and apart in the reference pose.
 
     Args:
         names: Of the links, L of them, the base first.
-        parents: Link on which each but the base sits, L - 1 of them.
-        device: Where their distance is measured.
+        parents: Parent of each link but the base, L - 1 of them.
 
     Raises:
         ConfigError: If there is none.
@@ -214,7 +212,7 @@ def pairs_apart(
         found = [pair for pair, apart in zip(found, gap.numpy().tolist(), strict=True) if apart > 0.0]
     if not found:
         raise ConfigError(
-            "CollisionCfg.between_links: no two shapes can be looked at: give shapes on links that no joint connects and "
+            "CollisionCfg.between_links: no pair of shapes to test. Give shapes on links that no joint connects and "
             "that are apart in the reference pose"
         )
     return found

@@ -1,4 +1,4 @@
-"""The collision shapes of a robot in kernels: spheres, boxes and capsules, all of them a core with a radius around it.
+"""Collision shapes of a robot in kernels: spheres, boxes and capsules, each a core with a radius around it.
 
 The distance to a plane is that of their contact points (``cores``). The distance to any other surface is the least signed
 distance in the core (``nearest``), less the radius.
@@ -32,7 +32,7 @@ class BodyShape:
 def shape_gap(
     shape: Shape, origin: wp.vec3, turn: wp.quat, own: BodyShape, position: wp.vec3, attitude: wp.quat, limit: float
 ) -> float:
-    """Return the least signed distance of one of a robot's shapes to a part [m], or ``limit`` if that is smaller."""
+    """Return the signed distance of one robot shape to a part [m], at most ``limit``."""
     nearest = float(limit)
     offset = position + wp.quat_rotate(attitude, own.center) - origin
     if wp.length(offset) - shape.radius - own.reach < nearest:
@@ -58,7 +58,7 @@ def body_distance(
     attitude: wp.quat,
     limit: float,
 ) -> float:
-    """Return the least signed distance of a robot's shapes to a part [m], or ``limit`` if that is smaller.
+    """Return the least signed distance of a robot's shapes to a part [m], at most ``limit``.
 
     Origin and turn are those of the part, position and attitude those of the robot, all world.
     """
@@ -69,7 +69,7 @@ def body_distance(
 
 
 def body_shapes(shapes: Sequence[CollisionShape], *, device: torch.device) -> wp.array:
-    """Return the shapes as a kernel takes them, (C,) of ``BodyShape``."""
+    """Return the shapes for a kernel, (C,) of ``BodyShape``."""
     rows = []
     for shape in shapes:
         center, attitude, half, radius = core_of(shape)

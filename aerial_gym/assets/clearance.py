@@ -1,8 +1,8 @@
-"""Room around the robot's start and its goal: obstacles that stand there are drawn again, and parked if that fails.
+"""Clearance around the robot's start and goal: obstacles within it are redrawn, and parked if that fails.
 
-An instance is drawn again until it is far enough from every point that is kept clear in this episode, at most
-``NUM_ATTEMPTS`` times; one that never is, is parked. So the distance holds in every case, with a bounded amount of work, and
-each instance is decided alone. Assets whose place is given rather than drawn (walls, rooms) are left where they are.
+An instance is redrawn until it is far enough from every clear point of the episode, at most ``NUM_ATTEMPTS`` times, and
+parked if no draw is. So the distance always holds with a bounded amount of work, and each instance is decided alone. Assets
+with a fixed place (walls, rooms) stay.
 Frames: world of each environment, z up. Letters: E environments, A instances, K points.
 """
 
@@ -18,17 +18,17 @@ from aerial_gym.interop import RecordedLaunch
 from aerial_gym.math.random import take_mask
 
 NUM_ATTEMPTS = 16
-"""How often an instance is drawn again. If half of its range is blocked, 1 in 65,000 is parked."""
+"""Largest number of redraws of an instance. If half of its range is blocked, 1 in 65,000 is parked."""
 
 START, GOAL = 0, 1
-"""The points that are kept clear."""
+"""Indices of the points that are kept clear."""
 
 
 @wp.func
 def _gap(
     scene: SceneArrays, env: int, first: int, end: int, start: wp.vec3, goal: wp.vec3, which: int, room: float
 ) -> float:
-    """Return the least distance of parts ``first`` to ``end`` to the points up to ``which``, or ``room`` if that is smaller."""
+    """Return the least distance of parts ``first`` to ``end`` from points 0 to ``which`` [m], at most ``room``."""
     nearest = float(room)
     for k in range(which + 1):
         point = wp.where(k == 0, start, goal)
@@ -57,7 +57,7 @@ def _clear(
     start_out: wp.array[wp.vec3],  # (E,) world [m]; written with START, read with GOAL
     obstacles_out: Obstacles,
 ):
-    """Draw again, or park, the instances that stand too close; leave the others and other environments alone."""
+    """Redraw, or park, the instances that are too close; leave all others and other environments alone."""
     env, a = wp.tid()
     if not mask[env]:
         return
@@ -88,14 +88,14 @@ def _clear(
 
 
 class Clearance:
-    """Keeps start and goal of one robot per environment clear, with all views made at construction."""
+    """Clear space around start and goal of one robot per environment; all views are made at construction."""
 
     def __init__(self, scene: Scene, obstacles: Obstacles, *, mask: Tensor, room: float) -> None:
-        """Take what may be moved.
+        """Record the launches for start and goal.
 
         Args:
-            obstacles: The same instances, and how they are drawn.
-            mask: Of the environments whose obstacles may be moved, bool, (E,); kept.
+            obstacles: The same instances with the parameters of their draws.
+            mask: Environments whose obstacles may move, bool, (E,); kept.
             room: Least distance between a point and the surface of an instance [m].
         """
         envs, device = scene.num_envs, scene.device
@@ -117,18 +117,18 @@ class Clearance:
         ]
 
     def restart(self) -> None:
-        """Take the shapes that the instances of the scene now have."""
+        """Update the shapes of the scene's instances."""
         parts = self._scene.shape_table.num_parts[self._scene.shape_index.long()].to(torch.int32)
         self._end_part.copy_(parts.cumsum(dim=1))
         self._first_part.copy_(self._end_part - parts)
 
     def clear(self, mask: Tensor, point: Tensor, *, which: int) -> None:
-        """Make room around a point of masked environments, and keep the room around those before it.
+        """Clear the surroundings of a point in masked environments, and keep those of earlier points clear.
 
         Args:
-            mask: Environments whose obstacles may be moved, bool, (E,).
-            point: What is kept clear [m], world, (E, 3).
-            which: ``START``, which forgets the goal of the episode before, or ``GOAL``.
+            mask: Environments whose obstacles may move, bool, (E,).
+            point: Centre of the clear space [m], world, (E, 3).
+            which: ``START``, which discards the goal of the previous episode, or ``GOAL``.
         """
         take_mask(self._mask, mask)
         self._point.copy_(point)

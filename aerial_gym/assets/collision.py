@@ -1,4 +1,4 @@
-"""The collision test: the distance of the robot's shapes from the scene, and whether they touch anything during a step.
+"""The collision test: distance of the robot's shapes to the scene, and contacts during a step.
 
 Shapes on links of an articulated robot are tested link by link, each with the poses of its own frame. All substeps of a step
 are one launch for each link (``collision_kernel``).
@@ -26,10 +26,10 @@ from aerial_gym.errors import ShapeError
 from aerial_gym.interop import RecordedLaunch, launch_side_by_side, on_torch_stream, split
 
 BLOCK_DIM = 64
-"""Threads that share an environment on a GPU."""
+"""Threads per environment on a GPU."""
 
 MIN_PARTS_PER_THREAD = 8192
-"""Parts of environments below which another CPU thread costs more than it saves (a hand-over takes some 50 µs)."""
+"""Least number of parts per CPU thread; with fewer, the start of the thread (some 50 µs) costs more than it saves."""
 
 _ROUNDING = 1.0 + 1e-5
 """Bounding spheres are larger by this factor, as in the shape table."""
@@ -37,7 +37,7 @@ _ROUNDING = 1.0 + 1e-5
 
 @dataclass(frozen=True, kw_only=True)
 class LinkShapes:
-    """Collision shapes on a link, and where that is."""
+    """Collision shapes of one link, and the link's pose."""
 
     shapes: Sequence[CollisionShape]  # In the frame of the link
     number: int = 0  # Of the link; 0 of the body
@@ -47,7 +47,7 @@ class LinkShapes:
 
 
 class _Body:
-    """The shapes of a link as a kernel takes them."""
+    """Kernel arrays of the shapes of one link."""
 
     def __init__(self, link: LinkShapes, *, device: torch.device) -> None:
         self.link, self.cores, self.hull = link, has_cores(link.shapes), _ROUNDING * body_reach(link.shapes)
@@ -57,7 +57,7 @@ class _Body:
 
 
 class CollisionTest:
-    """Signed distance of one robot per environment to the scene, with all views made at construction."""
+    """Signed distance of one robot per environment to the scene; all views are made at construction."""
 
     def __init__(
         self,
@@ -73,12 +73,12 @@ class CollisionTest:
         """Take views of the tensors, which must stay where they are.
 
         Args:
-            shapes: The robot's collision shapes; none makes every distance infinite.
+            shapes: The robot's collision shapes; without any, every distance is infinite.
             position: Body origin [m], world, (E, 3); may be strided, but for the last axis.
             attitude: Body to world, xyzw, unit, (E, 4); likewise.
-            distance_out: Receives the smallest signed distance [m], negative where they overlap, inf where there is
-                nothing to touch, float32, (E,).
-            moving: The instances of the scene as ``step`` moves them; None if nothing moves.
+            distance_out: Receives the smallest signed distance [m], negative for an overlap, inf without solid parts,
+                float32, (E,).
+            moving: Instances of the scene that ``step`` moves; None if all are at rest.
 
         Raises:
             ShapeError: If a tensor does not fit the scene.
@@ -97,14 +97,14 @@ class CollisionTest:
         self._step: list[list[RecordedLaunch]] | None = None
 
     def follow(self, position: Tensor, attitude: Tensor, *, dt: float, crashes_out: Tensor) -> None:
-        """Make ready for ``step``.
+        """Record the launches of ``step``.
 
         Args:
             position: Body origin at the start of a step and after each substep [m], world, (K + 1, E, 3), or of all links,
                 (K + 1, E, L, 3), if there are ``links``; read at every step.
             attitude: Body to world, xyzw, unit, (K + 1, E, 4) or (K + 1, E, L, 4); likewise.
             dt: Length of a substep [s].
-            crashes_out: Set where the robot touches something at or between these poses, bool, (E,); never cleared here.
+            crashes_out: Set at a contact of the robot at or between these poses, bool, (E,); never cleared here.
 
         Raises:
             ShapeError: If a tensor does not fit the scene.
@@ -120,7 +120,7 @@ class CollisionTest:
     def _record(
         self, poses: Sequence[tuple[Tensor, Tensor]], *, dt: float, crashes: Tensor, is_step: bool = False
     ) -> list[list[RecordedLaunch]]:
-        """Record the launches of each link, one link after the other."""
+        """Record the launches link by link."""
         last = len(self._links) - 1
         return [
             self._record_link(own, *pose, dt=dt, crashes=crashes, flags=(is_step, number > 0, number == last))
@@ -161,14 +161,14 @@ class CollisionTest:
         ]
 
     def _chunks(self) -> list[tuple[int, int]]:
-        """Return first environment and number of environments of each launch."""
+        """Return the first environment and the number of environments of each launch."""
         envs = self._scene.num_envs
         if self._out.device.type == "cuda":
             return [(0, envs)]
         return split(envs, min(torch.get_num_threads(), max(1, envs * self._scene.num_solid // MIN_PARTS_PER_THREAD)))
 
     def measure(self) -> None:
-        """Write the distances of the present poses; launched on torch's current stream, not waited for."""
+        """Launch the measurement at the present poses on torch's current stream."""
         if not self.has_solids:
             self._out.fill_(inf)
             return
@@ -177,9 +177,9 @@ class CollisionTest:
                 launch_side_by_side(launches)
 
     def step(self) -> None:
-        """Move the obstacles by K substeps, set crashes, write the distances after the last; launched likewise."""
+        """Launch a step: move the obstacles by K substeps, set crashes, write the distances after the last substep."""
         if self._step is None:
-            raise ShapeError("CollisionTest.step: give it the poses of the substeps first. Call follow()")
+            raise ShapeError("CollisionTest.step: the poses of the substeps are missing. Call follow() first")
         with on_torch_stream(self._out):
             for launches in self._step:
                 launch_side_by_side(launches)

@@ -1,13 +1,13 @@
 """The kernel of the collision test: moves the obstacles, sweeps the robot's shapes against them and measures the distance.
 
-A block of threads takes an environment, and each thread takes some of the parts. It moves the instance of a part that moves
+A block of threads treats one environment, and each thread some of its parts. The thread moves the instance of a moving part
 through the substeps and sweeps the robot's shapes against it (``sweep``). It then measures the distance of each part at the
-last pose, except where a nearer part is known. On the CPU a block is one thread.
+last pose, unless a nearer part is known. On the CPU a block is one thread.
 
-Parts at rest are swept afterwards, by the threads whose nearest part is not farther than the robot went in the step: signed
-distance changes by no more than the point moves. Each thread of a block bounds the way from one of the poses. The sign of a
-mesh comes from a winding number and may jump, so a mesh is skipped by its bounding sphere alone, and its sign is tested at
-every pose. There are kernels of their own without boxes and capsules, without meshes, and without obstacles that move.
+Parts at rest are swept afterwards, by threads whose nearest part is within the robot's displacement in the step: a signed
+distance changes by no more than the point moves. Each thread of a block bounds the displacement from one of the poses. The
+sign of a mesh comes from a winding number and may jump, so only its bounding sphere rules a mesh out, and its sign is tested
+at every pose. Separate kernels omit boxes and capsules, meshes, or moving obstacles.
 Frames: centres of shapes in the body frame, poses in the environment's world frame. Letters: E environments, A instances, P
 parts of all instances, C shapes, K substeps.
 """
@@ -27,19 +27,19 @@ from aerial_gym.assets.sweep import bow_between, make_meets_moving, make_meets_s
 from aerial_gym.assets.sweep_spheres import balls_meet_still
 
 REGISTERS = 96
-"""Registers of a thread of the smallest kernel, at most: ten blocks of 64 threads then share a multiprocessor of 65,536.
+"""Largest number of registers of a thread of the smallest kernel: ten blocks of 64 threads fit a multiprocessor's 65,536.
 
 On an H200, 64 to 128 registers take the same time within 5 %. Without a limit the kernel takes 168.
 """
 
 MARGIN = wp.constant(1.0e-3)
-"""Room for float32 rounding [m] when a part is passed over for being farther than the robot went: places up to 1 km from the
-origin are rounded by 6e-5 m."""
+"""Margin for float32 rounding [m] when a part beyond the robot's displacement is skipped: at 1 km from the origin, positions
+are rounded by 6e-5 m."""
 
 
 @wp.struct
 class NoObstacles:
-    """In the place of obstacles that move where there are none: a launch costs the more the longer its arguments are."""
+    """Small stand-in for absent moving obstacles: the cost of a launch grows with the size of its arguments."""
 
     nothing: int
 
@@ -51,7 +51,7 @@ def _sphere_center(sphere: wp.vec4, position: wp.vec3, attitude: wp.quat) -> wp.
 
 @cache
 def _make_gap(*, meshes: bool) -> wp.Function:
-    """Return the distance of spheres to a part; ``meshes``: whether any part is one, which costs many registers of a GPU."""
+    """Return the function for the distance of spheres to a part; ``meshes``: whether any part is a mesh (many registers)."""
     distance_to = signed_distance if meshes else primitive_distance
 
     @wp.func
@@ -64,7 +64,7 @@ def _make_gap(*, meshes: bool) -> wp.Function:
         attitude: wp.quat,
         limit: float,
     ) -> float:
-        """Return the least signed distance of the robot's spheres to a part [m], or ``limit`` if that is smaller."""
+        """Return the least signed distance of the robot's spheres to a part [m], at most ``limit``."""
         nearest = float(limit)
         for c in range(sphere.shape[0]):
             radius = sphere[c][3]
@@ -78,7 +78,7 @@ def _make_gap(*, meshes: bool) -> wp.Function:
 
 @wp.func
 def _part(scene: SceneArrays, env: int, part: int):  # fmt: skip
-    """Return row of the shape, instance and pose of the frame that carries it; row -1 of a part that is absent."""
+    """Return a part's shape row, its instance and the pose of its carrier; row -1 if the part is absent."""
     row = scene.part_shape[env, part]
     a = scene.part_instance[env, part]
     x = wp.vec3()
@@ -93,7 +93,7 @@ def _part(scene: SceneArrays, env: int, part: int):  # fmt: skip
 
 @wp.func
 def _way_from(position: wp.array2d[wp.vec3], attitude: wp.array2d[wp.quat], hull: float, env: int, k: int) -> float:
-    """Return a bound of the distance of a point of the hull at pose k from its place at the last pose [m]."""
+    """Return an upper bound of the displacement of any hull point from pose k to the last pose [m]."""
     last = position.shape[0] - 1
     ahead = attitude[last, env] - attitude[k, env]
     behind = attitude[last, env] + attitude[k, env]  # -q is the same attitude as q
@@ -107,8 +107,8 @@ def make_walk(*, moves: bool, shared: bool, cores: bool, meshes: bool) -> wp.Ker
 
     Args:
         moves: Whether obstacles move.
-        shared: Whether a block of threads shares an environment, rather than one thread taking all of it; only on a GPU: on
-            the CPU Warp's reductions over a block may not run on two threads of the process at once.
+        shared: Whether a block of threads shares an environment, instead of one thread. GPU only: on the CPU, Warp's block
+            reductions must not run on two threads of the process at once.
         cores: Whether the robot has boxes or capsules, and its shapes are ``BodyShape`` instead of centre and radius.
         meshes: Whether any part is a mesh.
     """
@@ -127,20 +127,20 @@ def make_walk(*, moves: bool, shared: bool, cores: bool, meshes: bool) -> wp.Ker
         position: wp.array2d[wp.vec3],  # (K + 1, E) at the start of a step and after each substep, or (1, E), world [m]
         attitude: wp.array2d[wp.quat],  # (K + 1, E) body to world, xyzw
         # params
-        body: body_type,  # (C,) centre in the body frame, radius [m], or more
+        body: body_type,  # (C,) spheres (centre in the body frame, radius [m]), or ``BodyShape``
         hull: float,  # radius of a ball about the body origin that holds all shapes [m]
         pivot: wp.vec3,  # point that moves straight between poses, body frame [m]
         dt: float,  # [s] of a substep
-        is_step: wp.bool,  # whether obstacles move with the poses, and touches are crashes
+        is_step: wp.bool,  # whether obstacles move with the poses, and contacts are crashes
         joins: wp.bool,  # whether another link was measured before this one
-        is_last: wp.bool,  # whether none comes after it
+        is_last: wp.bool,  # whether this link is the last
         first: int,  # environment of the first block
         # out
         obstacles_out: obstacles_type,
         distance_out: wp.array[float],  # (E,) [m]
-        crashes_out: wp.array[wp.bool],  # (E,) set where something is touched at or between the poses
+        crashes_out: wp.array[wp.bool],  # (E,) set at a contact at or between the poses
     ):
-        """Write the least signed distance between a shape and a part at the last pose, inf if there is none."""
+        """Write the least signed distance between shapes and parts at the last pose, inf without parts."""
         block, lane = wp.tid()
         env = block + first
         last = position.shape[0] - 1

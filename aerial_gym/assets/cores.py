@@ -1,7 +1,7 @@
-"""The collision shapes of a robot as cores with a radius around them, and what a plane touches first of these.
+"""Collision shapes of a robot as cores with a radius around them, and their contact points with a plane.
 
-The core of a sphere is a point, that of a capsule a line, that of a box the box itself, with radius 0. What a plane touches
-first is one of the core's corners, which are the *contact points* of a shape: for a plane they are exact.
+The core of a sphere is a point, that of a capsule a line, that of a box the box itself, with radius 0. A plane first touches a
+corner of the core. So these corners are the *contact points* of a shape, exact for a plane.
 Frames: centres and attitudes in the body frame. Letters: C contact points.
 """
 
@@ -27,7 +27,7 @@ def core_of(shape: CollisionShape) -> tuple[Tensor, Tensor, Tensor, float]:
 
 
 def has_cores(shapes: Sequence[CollisionShape]) -> bool:
-    """Return whether there is anything but spheres."""
+    """Return whether any shape is not a sphere."""
     return any(not isinstance(shape, SphereCfg) for shape in shapes)
 
 
@@ -44,6 +44,6 @@ def contact_points(shapes: Sequence[CollisionShape], *, device: torch.device) ->
 
 
 def body_reach(shapes: Sequence[CollisionShape]) -> float:
-    """Return how far the shapes reach from the body origin [m]; 0 without any."""
+    """Return the radius of the shapes about the body origin [m]; 0 without shapes."""
     points = contact_points(shapes, device=torch.device("cpu")).double()
     return float((points[:, :3].norm(dim=1) + points[:, 3]).amax()) if len(points) else 0.0

@@ -1,4 +1,4 @@
-"""Rays against shapes and distances to shapes, as Warp functions that the ray caster and the collision test share.
+"""Ray intersections with shapes and signed distances to shapes, as Warp functions of ray caster and collision test.
 
 Everything here is in the shape's own frame: centred on the origin, axis of symmetry along z. Along a ray ``o + t d`` with d
 of any length a convex solid is one interval ``(near, far)`` of t, which is empty if ``near > far`` and may begin behind the
@@ -11,7 +11,7 @@ import warp as wp
 from aerial_gym.assets.shape_row import BOX, CAPSULE, CYLINDER, MESH, PLANE, SPHERE, TRIANGLE, Shape
 
 TINY = wp.constant(1.0e-20)
-"""Stands for a direction component of 0, so that dividing by it stays finite."""
+"""Replaces a direction component of 0, so that its reciprocal stays finite."""
 
 
 @wp.func
@@ -84,14 +84,14 @@ def capsule_interval(origin: wp.vec3, direction: wp.vec3, radius: float, half_he
 
 @wp.func
 def first_surface(inside: wp.vec2, limit: float) -> float:
-    """Return t at the first surface of an interval, or ``limit``: a ray that starts inside a solid ends where it leaves."""
+    """Return t at the first surface of an interval, at most ``limit``; a ray from inside a solid ends at its exit."""
     first = wp.where(inside[0] >= 0.0, inside[0], inside[1])
     return wp.where(inside[0] <= inside[1] and first >= 0.0, wp.min(first, limit), limit)
 
 
 @wp.func
 def unit_distance(kind: int, origin: wp.vec3, direction: wp.vec3, limit: float) -> float:
-    """Return t at the first surface of a BOX, SPHERE or CYLINDER in the frame of its bounding box, or ``limit``."""
+    """Return t at the first surface of a BOX, SPHERE or CYLINDER in the frame of its bounding box, at most ``limit``."""
     if kind == SPHERE:
         return first_surface(sphere_interval(origin, direction, 1.0), limit)
     if kind == CYLINDER:
@@ -101,7 +101,7 @@ def unit_distance(kind: int, origin: wp.vec3, direction: wp.vec3, limit: float) 
 
 @wp.func
 def shape_distance(shape: Shape, origin: wp.vec3, direction: wp.vec3, limit: float) -> float:
-    """Return t at the first surface of a CAPSULE, MESH or PLANE, the ray in the frame of the bounding box, or ``limit``."""
+    """Return t at the first surface of a CAPSULE, MESH or PLANE in the frame of its bounding box, at most ``limit``."""
     if shape.kind == PLANE:
         fall = wp.where(wp.abs(direction[2]) > TINY, direction[2], TINY)
         t = -origin[2] / fall
@@ -144,7 +144,7 @@ def capsule_distance(point: wp.vec3, radius: float, half_height: float) -> float
 
 @wp.func
 def _nearest_on_line(point: wp.vec3, a: wp.vec3, b: wp.vec3) -> wp.vec3:
-    """Return the point of the line from a to b that is nearest to a point."""
+    """Return the nearest point of the segment from a to b."""
     along = b - a
     share = wp.dot(point - a, along) / wp.max(wp.dot(along, along), TINY)
     return a + wp.clamp(share, 0.0, 1.0) * along
@@ -152,7 +152,7 @@ def _nearest_on_line(point: wp.vec3, a: wp.vec3, b: wp.vec3) -> wp.vec3:
 
 @wp.func
 def nearest_on_triangle(point: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec3:
-    """Return the point of a triangle that is nearest to a point: its projection if that is inside, else one on an edge."""
+    """Return the nearest point of a triangle: the projection if that is inside, else a point of an edge."""
     normal = wp.cross(b - a, c - a)
     square = wp.dot(normal, normal)
     ab = wp.dot(wp.cross(b - a, point - a), normal)
@@ -172,7 +172,7 @@ def nearest_on_triangle(point: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> w
 
 @wp.func
 def mesh_distance(mesh: wp.uint64, point: wp.vec3, reach: float) -> float:
-    """Return the signed distance of a point to a mesh [m]; ``reach`` must exceed it, or it is what is returned.
+    """Return the signed distance of a point to a mesh [m], at most ``reach``.
 
     Inside is where the winding number is above 1/2, so an open sheet has no inside. Source: Barill et al. (2018), Fast
     winding numbers for soups and clouds.
@@ -225,7 +225,7 @@ def support(shape: Shape, direction: wp.vec3) -> float:
 def signed_distance(shape: Shape, point: wp.vec3) -> float:
     """Return the distance of a point to the surface of a shape [m], negative inside."""
     if shape.kind == MESH:
-        # No point of the surface is farther than this; the margin keeps the bound strict in float32.
+        # upper bound of the distance to the surface; the margin keeps it strict in float32
         return mesh_distance(shape.mesh, point, 1.01 * (wp.length(point) + shape.radius))
     return primitive_distance(shape, point)
 
@@ -234,7 +234,7 @@ def signed_distance(shape: Shape, point: wp.vec3) -> float:
 def outward_normal(shape: Shape, point: wp.vec3) -> wp.vec3:
     """Return the gradient of the signed distance, a unit vector: away from the nearest surface outside, towards it inside.
 
-    On an axis or in the middle of a solid, where several surface points are nearest, it is the direction of one of them.
+    With several nearest surface points, as on an axis, it is the direction of one of them.
     """
     if shape.kind == MESH:
         query = wp.mesh_query_point_sign_winding_number(shape.mesh, point, 1.01 * (wp.length(point) + shape.radius))

@@ -1,7 +1,7 @@
-"""What surfaces look like: a colour and a checkerboard for every shape, and what mesh files bring along, once per file.
+"""Appearance of surfaces: colour and checkerboard of every shape, and the colours and textures of mesh files.
 
 Colours are red, green, blue in 0 to 1; those of files are taken as they stand, without a gamma curve. Texture coordinates
-(u, v) have their origin at the lower left of the image, u to the right. Kernels that write no colours never read any of it.
+(u, v) have their origin at the lower left of the image, u to the right. Kernels without colour images read none of these.
 Letters: K shapes, F triangles of all meshes together, V vertices of a mesh.
 """
 
@@ -28,15 +28,15 @@ DEFAULT_COLORS: dict[str, Vec3] = {
     "plane": (0.42, 0.45, 0.36),
     "mesh": (0.70, 0.70, 0.70),
 }
-"""Of a shape to which nobody gave a colour. Plain choices: muted, and no two alike."""
+"""Default colours of shapes. Plain choices: muted and distinct."""
 
 NOTHING = wp.constant(-1)
-"""Stands for no triangles with colours of their own, and for no texture."""
+"""Marks the absence of coloured triangles or of a texture."""
 
 
 @wp.struct
 class Look:
-    """How a shape looks."""
+    """Appearance of one shape."""
 
     color: wp.vec3
     checker_color: wp.vec3
@@ -46,7 +46,7 @@ class Look:
 
 @wp.struct
 class Texture:
-    """Where an image stands among the texels: rows from the top, each from the left."""
+    """Position of an image in the array of texels: rows from the top, each from the left."""
 
     first: wp.int32
     width: wp.int32
@@ -55,7 +55,7 @@ class Texture:
 
 @wp.struct
 class Looks:
-    """All surfaces of a scene."""
+    """Appearance of all surfaces of a scene."""
 
     shape: wp.array[Look]  # (K,)
     corner_color: wp.array[wp.vec3]  # (3 F,)
@@ -76,12 +76,12 @@ class MeshLook:
 
 
 def look_of_mesh(pieces: Sequence["trimesh.Trimesh"], faces: NDArray[np.int64]) -> MeshLook | None:
-    """Return the colours of a mesh that consists of pieces as trimesh reads them, None where no piece has any.
+    """Return the colours of a mesh made of trimesh pieces; None if no piece has colours.
 
     Args:
         pieces: Geometries of the file, in order.
-        faces: Vertices of the triangles of the whole mesh, numbered through all pieces, (F, 3); their order is that of the
-            pieces, while that within a triangle may be another.
+        faces: Vertices of all triangles, numbered through all pieces, (F, 3). Triangles have the order of the pieces; the
+            order within a triangle may differ.
     """
     if not any(piece.visual is not None and piece.visual.defined for piece in pieces):
         return None
@@ -104,7 +104,7 @@ def look_of_mesh(pieces: Sequence["trimesh.Trimesh"], faces: NDArray[np.int64]) 
 
 
 def _plain_colors(piece: "trimesh.Trimesh") -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the colours of vertices (V, 3) and triangles (F, 3); what counts is their product."""
+    """Return the colours of vertices (V, 3) and triangles (F, 3), whose product is the surface's colour."""
     from trimesh.visual import ColorVisuals, TextureVisuals
 
     of_vertices, of_faces = np.ones((len(piece.vertices), 3)), np.ones((len(piece.faces), 3))
@@ -130,7 +130,7 @@ def _shares(colors: NDArray[np.generic]) -> NDArray[np.float64]:
 
 
 def _factor(material: object) -> NDArray[np.float64]:
-    """Return the base colour of a material, by which its image is multiplied: red, green, blue."""
+    """Return the base colour of a material (red, green, blue), which multiplies its image."""
     value = getattr(material, "baseColorFactor", None)  # of GLB and other files with physically based materials
     if value is None:
         value = getattr(material, "kwargs", {}).get("kd")  # of MTL files; trimesh calls a missing one grey
@@ -141,7 +141,7 @@ def _factor(material: object) -> NDArray[np.float64]:
 
 
 def _image(piece: "trimesh.Trimesh") -> "Image | None":
-    """Return the image of a piece, None without one or without coordinates for it."""
+    """Return the image of a piece; None without an image or texture coordinates."""
     material = None if getattr(piece.visual, "uv", None) is None else getattr(piece.visual, "material", None)
     return getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
 
@@ -153,7 +153,7 @@ def _coordinates(piece: "trimesh.Trimesh") -> NDArray[np.float64]:
 
 
 class LookTable:
-    """The arrays of ``Looks`` as they grow shape by shape."""
+    """Builder of the arrays of ``Looks``, shape by shape."""
 
     def __init__(self) -> None:
         """Begin with no shape."""
@@ -163,11 +163,11 @@ class LookTable:
         self._num_faces = 0
 
     def add(self, cfg: ShapeCfg, *, inherited: Vec3 | None, mesh: MeshLook | None) -> None:
-        """Append a shape that is one body.
+        """Append a shape that is not a compound.
 
         Args:
-            inherited: Colour of the compound whose part it is, if that has one.
-            mesh: What its file brings along; used unless a colour is given. A mesh that was added before is stored once.
+            inherited: Colour of its compound, if any.
+            mesh: Colours of its file, used unless ``cfg`` gives a colour. Equal meshes are stored once.
         """
         given = cfg.color or inherited
         checker = cfg.checker
@@ -181,7 +181,7 @@ class LookTable:
         self._rows.append((color, checker.color if checker else color, checker.size if checker else 0.0, first))
 
     def arrays(self, device: wp.Device) -> Looks:
-        """Return everything on a device."""
+        """Return the arrays on a device."""
         rows = np.zeros(len(self._rows), dtype=Look.numpy_dtype())  # type: ignore[call-overload]
         for row, (color, checker_color, size, first) in zip(rows, self._rows, strict=True):
             row["color"], row["checker_color"], row["checker_size"], row["first_face"] = (

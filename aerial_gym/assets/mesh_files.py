@@ -3,8 +3,8 @@
 Collada states its unit and up axis (metres and y up if it does not). glTF is in metres and y up. 3MF states its unit. STL,
 OBJ and PLY state neither, and are taken as metres, z up.
 
-In a URDF or SDF file the up axis of Collada does not count: RViz 2, MoveIt and Gazebo show such files unturned, and robots
-are drawn that way. The unit counts there too, and glTF is turned.
+For meshes of URDF and SDF files, Collada's up axis is ignored: RViz 2, MoveIt and Gazebo do not turn such files either. The
+unit still counts, and glTF is turned.
 
 Source: COLLADA 1.4.1, elements unit and up_axis; glTF 2.0, section 3.4; rviz_rendering, assimp_loader.cpp (ignores the up
 axis of Collada, turns glTF to (x, -z, y)); gz-common, AssimpLoader.cc, and gazebo-classic, issue 1305 (neither turns
@@ -33,11 +33,11 @@ _TO_Z_UP = {
 
 
 def load_mesh(path: str | Path, *, scale: float, up: str | None = None) -> "trimesh.Trimesh":
-    """Return the triangles of a mesh file in metres, z up, scaled about its origin; a closed mesh is turned right side out.
+    """Return the triangles of a mesh file in metres, z up, scaled about its origin; normals of a closed mesh point outwards.
 
     Args:
         scale: Factor on the coordinates, after the unit of the file.
-        up: Axis of the file that points up (``x``, ``y``, ``z``), in place of what the file says.
+        up: Axis of the file that points up (``x``, ``y``, ``z``); overrides the file's own.
 
     Raises:
         ConfigError: If the file is missing, unreadable, without a triangle or a surface, if its unit is no positive length,
@@ -47,7 +47,7 @@ def load_mesh(path: str | Path, *, scale: float, up: str | None = None) -> "trim
 
 
 def is_collada(path: str | Path) -> bool:
-    """Return whether a file is Collada, by its name."""
+    """Return whether a file's name is that of a Collada file."""
     return Path(path).suffix.lower() == ".dae"
 
 
@@ -113,7 +113,7 @@ def _check_vertices(piece: "trimesh.Trimesh", path: str | Path, scale: float) ->
 
 
 def join_pieces(pieces: Sequence["trimesh.Trimesh"], *, scale: float) -> "trimesh.Trimesh":
-    """Return one mesh without colours, vertices and triangles in the order of the pieces, scaled about its origin."""
+    """Join pieces into one mesh without colours, in their order, scaled about the origin."""
     import trimesh
 
     first = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
@@ -129,7 +129,7 @@ def join_pieces(pieces: Sequence["trimesh.Trimesh"], *, scale: float) -> "trimes
 
 
 def is_convex(mesh: "trimesh.Trimesh") -> bool:
-    """Return whether a mesh is one closed body that holds every line between two of its points."""
+    """Return whether a mesh is one closed convex body."""
     merged = mesh.copy()
     merged.merge_vertices()
     return bool(merged.is_watertight and merged.is_convex and merged.body_count == 1)

@@ -1,7 +1,7 @@
-"""Obstacles that move: all of them in one launch.
+"""Motion of obstacles, all in one launch.
 
-A twist is held during a step: the origin goes ``v dt`` along a straight line and the attitude turns by exactly ``|w| dt``
-about ``w``. On a path between waypoints only the part of the velocity along the path counts.
+A twist is constant during a step: the origin moves by ``v dt`` in a straight line, and the attitude turns by exactly
+``|w| dt`` about ``w``. Between waypoints, only the velocity component along the path counts.
 Frames: velocities and angular velocities in the world frame. Letters: E environments, A instances.
 """
 
@@ -18,7 +18,7 @@ from aerial_gym.interop import RecordedLaunch
 
 @wp.func
 def _fold(x: float, v: float, low: float, high: float) -> wp.vec2:
-    """Return place and velocity after bouncing off the end that was passed."""
+    """Return position and velocity after reflection at a limit."""
     if x > high:
         return wp.vec2(wp.max(2.0 * high - x, low), -wp.abs(v))
     if x < low:
@@ -28,14 +28,14 @@ def _fold(x: float, v: float, low: float, high: float) -> wp.vec2:
 
 @wp.func
 def _wrap(x: float, low: float, high: float) -> float:
-    """Return the place in ``[low, high)`` that is a whole number of spans away."""
+    """Return the position wrapped into ``[low, high)``."""
     span = high - low
     return x - span * wp.floor((x - low) / span)
 
 
 @wp.func
 def instance_moves(obstacles: Obstacles, env: int, a: int) -> wp.bool:
-    """Return whether an instance is of an asset that moves, and present."""
+    """Return whether an instance is present and its asset moves."""
     still = obstacles.table[obstacles.asset[env, a]].motion == STILL
     return not still and obstacles.position[env, a][2] >= ABSENT_BELOW
 
@@ -44,7 +44,7 @@ def instance_moves(obstacles: Obstacles, env: int, a: int) -> wp.bool:
 def moved(
     obstacles: Obstacles, env: int, a: int, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, dt: float
 ):  # fmt: skip
-    """Return position, attitude and velocity of an instance that moves after ``dt`` [s] from these; nothing is written."""
+    """Return position, attitude and velocity of a moving instance after ``dt`` [s], without writing them."""
     row = obstacles.table[obstacles.asset[env, a]]
     velocity = lin_vel
     turn = obstacles.ang_vel[env, a]
@@ -78,7 +78,7 @@ def _first_after(after: float, time: float, found: float) -> float:
 def next_turning(
     obstacles: Obstacles, env: int, a: int, position: wp.vec3, lin_vel: wp.vec3, dt: float, after: float
 ) -> float:
-    """Return the next share of ``dt`` [s] at which ``moved`` turns an instance round or wraps it, 1 if it does neither."""
+    """Return the next fraction of ``dt`` at which ``moved`` reverses or wraps an instance; 1 if it does neither."""
     row = obstacles.table[obstacles.asset[env, a]]
     found = wp.float32(1.0)
     if row.motion == WAYPOINTS:
@@ -99,7 +99,7 @@ def next_turning(
 
 @wp.func
 def move_instance(obstacles: Obstacles, env: int, a: int, dt: float, steps: int):
-    """Move an instance by ``steps`` of ``dt`` [s] each, if it is one that moves."""
+    """Move a moving instance by ``steps`` of ``dt`` [s] each."""
     if instance_moves(obstacles, env, a):
         x = obstacles.position[env, a]
         q = obstacles.attitude[env, a]
@@ -117,7 +117,7 @@ def _advance(
     # out
     obstacles_out: Obstacles,
 ):
-    """Move the present instances of moving assets by one step; leave the others alone."""
+    """Move the present instances of moving assets by one step."""
     env, a = wp.tid()
     move_instance(obstacles_out, env, a, dt, 1)
 
@@ -128,7 +128,7 @@ def _set_twists(
     # out
     obstacles_out: Obstacles,
 ):
-    """Write the given twists of the instances that move by twist; leave the others alone."""
+    """Write the given twists of instances that move by twist."""
     env, a = wp.tid()
     if obstacles_out.table[obstacles_out.asset[env, a]].motion != TWIST:
         return
@@ -137,20 +137,20 @@ def _set_twists(
 
 
 def moving_on(obstacles: Obstacles, dt: float) -> RecordedLaunch:
-    """Return the launch that moves everything by ``dt`` [s]."""
+    """Record the launch that moves all obstacles by ``dt`` [s]."""
     device = wp.device_from_torch(wp.to_torch(obstacles.asset).device)
     return RecordedLaunch(_advance, dim=obstacles.asset.shape, inputs=[dt], outputs=[obstacles], device=device)
 
 
 class Motion:
-    """Moves obstacles, with all views made at construction."""
+    """Motion of the obstacles of all environments; all views are made at construction."""
 
     def __init__(self, obstacles: Obstacles, *, twists: Tensor) -> None:
-        """Take what is moved.
+        """Record the launches.
 
         Args:
-            obstacles: Whose poses and velocities are written.
-            twists: What ``take_twists`` reads: velocity [m/s] and angular velocity [rad/s], world, float32, (E, A, 6).
+            obstacles: Their poses and velocities are written.
+            twists: Source of ``take_twists``: velocity [m/s] and angular velocity [rad/s], world, float32, (E, A, 6).
         """
         shape = (*obstacles.asset.shape, 6)
         check_tensor("twists", twists, shape, device=twists.device, dtype=torch.float32)
@@ -160,10 +160,10 @@ class Motion:
         self._take = RecordedLaunch(_set_twists, dim=dim, inputs=[twists], outputs=[obstacles], device=device)
 
     def step(self, dt: float) -> None:
-        """Move everything by ``dt`` [s]; launched on torch's current stream, not waited for."""
+        """Launch the motion over ``dt`` [s] on torch's current stream."""
         self._advance.set_param_at_index(0, dt)
         self._advance.launch(self._twists)
 
     def take_twists(self) -> None:
-        """Give the instances that move by twist those of the tensor; launched likewise."""
+        """Launch the update of twists from the tensor."""
         self._take.launch(self._twists)

@@ -25,7 +25,7 @@ from aerial_gym.assets.geometry import (
 from aerial_gym.assets.shape_row import BOX, CYLINDER, MESH, PLANE, TRIANGLE, Shape
 
 BISECTIONS = wp.constant(14)
-"""Of an edge, whose least is then found to 3e-5 of its length."""
+"""Bisections of an edge; they locate its minimum to 3e-5 of its length."""
 
 
 @wp.struct
@@ -58,7 +58,7 @@ def corner_of(half: wp.vec3, number: int) -> wp.vec3:
 
 @wp.func
 def repeats_corner(half: wp.vec3, number: int) -> wp.bool:
-    """Return whether a corner is the same as one with a smaller number, as in the core of a sphere or capsule."""
+    """Return whether a corner repeats one with a smaller number, as in the core of a sphere or capsule."""
     x = (number & 1) != 0 and half[0] == 0.0
     y = (number & 2) != 0 and half[1] == 0.0
     z = (number & 4) != 0 and half[2] == 0.0
@@ -67,7 +67,7 @@ def repeats_corner(half: wp.vec3, number: int) -> wp.bool:
 
 @wp.func
 def _search_edge(shape: Shape, middle: wp.vec3, half: wp.vec3, found: Nearest) -> Nearest:
-    """Return the nearer pair: the one found so far, or the nearest on the edge from ``middle - half`` to ``middle + half``."""
+    """Return the nearer pair: ``found``, or the nearest on the edge from ``middle - half`` to ``middle + half``."""
     if primitive_distance(shape, middle) - wp.length(half) >= found.distance:
         return found  # distances change by no more than the point moves
     low = wp.float32(-1.0)
@@ -102,7 +102,7 @@ def _search_edge(shape: Shape, middle: wp.vec3, half: wp.vec3, found: Nearest) -
 
 @wp.func
 def _search_face(shape: Shape, core: Core, axis: int, side: float, found: Nearest) -> Nearest:
-    """Return the nearer pair: the one found so far, or that of the rim point that reaches furthest against a face before it."""
+    """Return the nearer pair: ``found``, or that of a core's face and the deepest point of a cylinder's rim."""
     b = (axis + 1) % 3
     c = (axis + 2) % 3
     outward = wp.vec3()
@@ -122,7 +122,7 @@ def _search_face(shape: Shape, core: Core, axis: int, side: float, found: Neares
 
 @wp.func
 def _edge_middle(half: wp.vec3, number: int) -> wp.vec3:
-    """Return the middle of edge 0 to 11 of a box; four after another are parallel."""
+    """Return the middle of edge 0 to 11 of a box; each four consecutive edges are parallel."""
     axis = number >> 2
     middle = wp.vec3()
     b = (axis + 1) % 3
@@ -134,7 +134,7 @@ def _edge_middle(half: wp.vec3, number: int) -> wp.vec3:
 
 @wp.func
 def _edge_half(half: wp.vec3, number: int) -> wp.vec3:
-    """Return half of that edge."""
+    """Return the half vector of edge 0 to 11 of a box."""
     along = wp.vec3()
     axis = number >> 2
     along[axis] = half[axis]
@@ -143,7 +143,7 @@ def _edge_half(half: wp.vec3, number: int) -> wp.vec3:
 
 @wp.func
 def _search_edges(shape: Shape, center: wp.vec3, turn: wp.quat, half: wp.vec3, found: Nearest) -> Nearest:
-    """Return the nearer pair: the one found so far, or the nearest on the edges of a box, or on its line if it has no width."""
+    """Return the nearer pair: ``found``, or the nearest on the edges of a box, or on its line if it has no width."""
     k = wp.int32(0)
     while k < 12:
         axis = k >> 2
@@ -166,7 +166,7 @@ def as_box(core: Core) -> Shape:
 
 @wp.func
 def _turned_round(core: Core, seen: Nearest, radius: float) -> Nearest:
-    """Return a pair that was found in the frame of the core, by points that the other shape surrounds with a radius."""
+    """Return a pair of the core's frame in the other shape's frame, with that shape's radius subtracted."""
     found = Nearest()
     found.distance = seen.distance - radius
     found.normal = -wp.quat_rotate(core.turn, seen.normal)
@@ -176,9 +176,9 @@ def _turned_round(core: Core, seen: Nearest, radius: float) -> Nearest:
 
 @wp.func
 def _search_back(shape: Shape, core: Core, found: Nearest) -> Nearest:
-    """Return the nearer pair: the one found so far, or the nearest of the other shape's own edges or axis to a box.
+    """Return the nearer pair: ``found``, or the nearest of the other shape's own edges or axis to a box.
 
-    The axis of a cylinder counts where it is inside the box alone: there it has pierced two faces, far from all edges.
+    The axis of a cylinder counts only inside the box, where it pierces two faces far from all edges.
     """
     half = shape.size
     radius = wp.float32(0.0)
@@ -199,12 +199,12 @@ def _search_back(shape: Shape, core: Core, found: Nearest) -> Nearest:
 
 
 PIERCED = wp.constant(1.0e-6)
-"""Depth [m] of an edge that pierces a mesh: of open sheets there is no other."""
+"""Depth [m] assigned to an edge that pierces a mesh, because an open sheet has no depth."""
 
 
 @wp.func
 def _search_corners(shape: Shape, core: Core, found: Nearest) -> Nearest:
-    """Return the nearer pair: the one found so far, or that of a mesh and corners, centre or edges of a core."""
+    """Return the nearer pair: ``found``, or that of a mesh and the corners, centre or edges of a core."""
     nearer = wp.bool(False)
     k = wp.int32(0)
     while k < 9:
@@ -235,7 +235,7 @@ def _search_corners(shape: Shape, core: Core, found: Nearest) -> Nearest:
 
 @wp.func
 def _search_mesh(shape: Shape, core: Core, found: Nearest) -> Nearest:
-    """Return the nearer pair: the one found so far, or that of a mesh and a core."""
+    """Return the nearer pair: ``found``, or that of a mesh and a core."""
     found = _search_corners(shape, core, found)
     box = as_box(core)
     matrix = wp.quat_to_matrix(core.turn)
@@ -261,7 +261,7 @@ def _search_mesh(shape: Shape, core: Core, found: Nearest) -> Nearest:
 
 @wp.func
 def _closer(found: Nearest, point: wp.vec3, away: wp.vec3) -> Nearest:
-    """Return the nearer pair: the one found so far, or that of a point at ``away`` from the other shape."""
+    """Return the nearer pair: ``found``, or that of a point at ``away`` from the other shape."""
     distance = wp.length(away)
     if distance < found.distance and distance > 0.0:
         found.distance = distance
@@ -272,9 +272,9 @@ def _closer(found: Nearest, point: wp.vec3, away: wp.vec3) -> Nearest:
 
 @wp.func
 def _search_triangle(shape: Shape, core: Core, found: Nearest) -> Nearest:
-    """Return the nearer pair: the one found so far, or that of a triangle and a core without overlap, in closed form.
+    """Return the nearer pair: ``found``, or that of a triangle and a core without overlap, in closed form.
 
-    The nearest pair of two polytopes that are apart has a corner of one of them, or an edge of each.
+    The nearest pair of two separate polytopes has a corner of one of them, or an edge of each.
     """
     box = as_box(core)
     a = shape.size
@@ -319,7 +319,7 @@ def _search_triangle(shape: Shape, core: Core, found: Nearest) -> Nearest:
 
 @wp.func
 def nearest_of_core(shape: Shape, core: Core, limit: float) -> Nearest:
-    """Return the nearest pair of a core and a shape, or ``limit`` [m] without a pair if that is smaller."""
+    """Return the nearest pair of a core and a shape; beyond ``limit`` [m], that distance without a pair."""
     found = Nearest()
     found.distance = limit
     if shape.kind == MESH:

@@ -1,6 +1,6 @@
-"""Obstacle states as kernels see them, and one draw of them, as Warp code.
+"""Obstacle states and their random draws in kernels.
 
-The draw of an instance depends on its row and the attempt, beside seed, environment and episode.
+The draw of an instance depends on its row, the attempt, the seed, the environment and the episode.
 Frames: world of each environment, z up. Letters: E environments, A instances.
 """
 
@@ -16,7 +16,7 @@ from aerial_gym.math.random import Purpose, Randomness
 
 @wp.struct
 class Obstacles:
-    """Everything that is known of the instances, and what their draws depend on."""
+    """States of all instances, and the parameters of their draws."""
 
     table: wp.array[AssetRow]
     asset: wp.array2d[wp.int32]  # (E, A) row of the table
@@ -67,14 +67,14 @@ def view_obstacles(
 
 @wp.func
 def _draw_place(random: wp.uint32, quantity: int, row: AssetRow, lower: wp.vec3, upper: wp.vec3) -> wp.vec3:
-    """Return a place; weighing the corners gives each of them exactly at ratio 0 and 1."""
+    """Draw a position; the weighted sum of both corners gives each corner exactly at ratio 0 and 1."""
     ratio = draw_vec3(random, quantity, row.ratio_low, row.ratio_high)
     return wp.cw_mul(wp.vec3(1.0, 1.0, 1.0) - ratio, lower) + wp.cw_mul(ratio, upper) + row.offset
 
 
 @wp.func
 def draw_instance(obstacles: Obstacles, env: int, a: int, attempt: int):
-    """Write a new pose, twist and path of one instance."""
+    """Draw pose, twist and path of one instance."""
     row = obstacles.table[obstacles.asset[env, a]]
     random = substream(substream(stream_of(obstacles.random, env, wp.static(int(Purpose.OBSTACLES))), a), attempt)
     lower = obstacles.bounds_min[env]

@@ -1,4 +1,4 @@
-"""Where a reset puts bounds and obstacles, and which obstacles an environment has.
+"""Random draws at a reset: bounds of environments, kinds of obstacles and their places.
 
 Frames: world of each environment, z up. Letters: E environments, A instances.
 """
@@ -29,7 +29,7 @@ def _draw_bounds(
     lower_out: wp.array[wp.vec3],  # (E,) [m] world
     upper_out: wp.array[wp.vec3],
 ):
-    """Write new corners where the mask says so; leave every other row alone."""
+    """Draw new corners for masked environments; leave all other rows alone."""
     env = wp.tid()
     if not mask[env]:
         return
@@ -39,13 +39,13 @@ def _draw_bounds(
 
 
 class Bounds:
-    """Draws the bounds of masked environments, with all views made at construction."""
+    """Draws of the bounds of masked environments; all views are made at construction."""
 
     def __init__(self, cfg: EnvironmentCfg, *, lower: Tensor, upper: Tensor, random: Randomness) -> None:
-        """Take what is written, and put every environment into the smallest lower and upper corner until it is reset.
+        """Record the launch, and set all bounds to their smallest corners until the first reset.
 
         Args:
-            lower: Lower corner [m], world, (E, 3), written where a mask says so.
+            lower: Lower corner [m], world, (E, 3), written for masked environments.
         """
         start_warp()
         envs, device = lower.shape[0], lower.device
@@ -65,17 +65,17 @@ class Bounds:
             )
 
     def draw(self, mask: Tensor) -> None:
-        """Draw for the environments in ``mask``, bool (E,); launched on torch's current stream, not waited for."""
+        """Launch the draw for the environments in ``mask``, bool (E,), on torch's current stream."""
         if self._command is not None:
             take_mask(self._mask, mask)
             self._command.launch(self._mask)
 
 
 def draw_kinds(assets: tuple[AssetCfg, ...], random: Randomness) -> tuple[Tensor, Tensor]:
-    """Return which asset and which of its shapes each instance is, both int64 (E, A), for the seed and all its episodes.
+    """Draw asset index and shape index of each instance, both int64 (E, A), valid for all episodes of the seed.
 
-    Kept assets come first, in the order of the configuration; the rest are shuffled in each environment, so that the
-    first n of them are a fair sample.
+    Kept assets come first, in the order of the configuration. The rest are shuffled in each environment, so that their
+    first n are a fair sample.
     """
     device, num_envs = random.seed.device, random.num_envs
     kept = [i for i, asset in enumerate(assets) if asset.keep for _ in range(asset.count)]
@@ -105,7 +105,7 @@ def _place(
     # out
     obstacles_out: Obstacles,
 ):
-    """Write new states where the mask says so, and park the rows beyond the number; leave other environments alone."""
+    """Draw new states in masked environments, and park the rows beyond the number of obstacles."""
     env, a = wp.tid()
     if not mask[env]:
         return
@@ -118,16 +118,16 @@ def _place(
 
 
 class Placement:
-    """Draws the obstacles of masked environments, with all views made at construction."""
+    """Draws of obstacles in masked environments; all views are made at construction."""
 
     def __init__(self, obstacles: Obstacles, *, mask: Tensor, num_kept: int, num_others: Tensor) -> None:
-        """Take what is written and what it depends on.
+        """Record the launch.
 
         Args:
-            obstacles: Written where the mask says so.
+            obstacles: Written for masked environments.
             mask: Environments to reset, bool, (E,); read at every launch.
             num_kept: Instances that are always present, the first rows.
-            num_others: How many of the others are, int32, (1,); read at every launch.
+            num_others: Number of other instances to place, int32, (1,); read at every launch.
         """
         self._mask = mask
         asked = wp.from_torch(mask)
@@ -141,5 +141,5 @@ class Placement:
         )
 
     def draw(self) -> None:
-        """Place the obstacles; launched on torch's current stream, not waited for."""
+        """Launch the placement of obstacles on torch's current stream."""
         self._command.launch(self._mask)

@@ -1,15 +1,14 @@
 """The scene: shapes are shared, transforms are per environment.
 
 A scene holds A instances in each of E environments. An instance is a row of the shape table, a pose and a semantic id.
-Poses are strided views of a tensor that belongs to the caller, so moving an obstacle is writing that tensor: nothing is
-rebuilt or refitted, and the next ray and the next collision test see it.
+Poses are strided views of the caller's tensor. To move an obstacle, write that tensor; the next ray and the next collision
+test use it without a rebuild.
 
 An instance may have several parts (branches of a tree, links of a URDF) that move together; each is a shape of its own.
-An instance is absent while it is parked: z = ``PARKED_Z``. Whatever lies below ``ABSENT_BELOW`` is skipped with one
-comparison.
+An absent instance is parked at z = ``PARKED_Z``. Kernels skip all instances below ``ABSENT_BELOW``.
 
-Beside the instances there may be parts without a row among them: fixed ones, such as the ground, and those of the robot,
-which sensors see and which are not touched.
+Further parts belong to no instance: fixed ones, such as the ground, and those of the robot, which sensors see but collisions
+ignore.
 
 Frames: each environment has its own world frame, z up. Letters: E environments, A instances, P parts of all instances,
 L links of a robot.
@@ -55,16 +54,15 @@ class Scene:
 
         Args:
             shape_index: Row of the shape table, integer, (E, A), or (A,) if all environments have the same.
-            semantic_id: What segmentation shows, integer, (E, A) or (A,).
+            semantic_id: Label in segmentation images, integer, (E, A) or (A,).
             asset_state: The caller's poses and velocities, float32, (E, A, 13): position [m], attitude xyzw (shape to
                 world, unit), velocity, angular velocity; world. May be strided, but for the last axis. Kept.
-            groups: Of how many shapes of the table, from the first one on, how many instances of an environment are one: pairs
-                of instances and shapes. ``relabel`` may then give instances other shapes; without them they keep theirs.
+            groups: Pairs (number of instances, number of shapes) of consecutive shapes among which ``relabel`` may exchange;
+                without groups, instances keep their shapes.
             fixed: Parts of the world, in its frame, with semantic ids of their own.
-            robot: What is seen of the robot, in the frames of its links, with semantic ids of their own; it is never touched.
+            robot: Visible parts of the robot, in the frames of its links, with semantic ids; ignored by collisions.
             robot_state: The caller's states of the robot's links, float32, (E, L, 13), laid out like those of the instances;
-                needed if anything of it is seen. (E, 13) of a robot that is one link. May be strided, but for the last axis.
-                Kept.
+                (E, 13) of a robot with one link. Needed with ``robot``. May be strided, but for the last axis. Kept.
             lamps: Lights in colour images, the same in all environments.
 
         Raises:
@@ -108,29 +106,29 @@ class Scene:
 
     @property
     def num_solid(self) -> int:
-        """Number of parts that can be touched, for which an environment has room."""
+        """Capacity for solid parts of an environment."""
         return self.arrays.num_solid
 
     @property
     def num_parts(self) -> int:
-        """Number of parts P for which an environment has room."""
+        """Capacity P for parts of an environment."""
         return self._part_shape.shape[1]
 
     def carried(self) -> tuple[tuple[PartCfg, ...], Tensor, Tensor]:
-        """Return every part that instances may have, and which an environment has: views that follow ``relabel``.
+        """Return all possible parts of instances, and views of those in each environment, which follow ``relabel``.
 
         Returns:
-            The parts; rows of these, -1 where there is none, and the instances that carry them, both int32, (E, P).
+            The parts; their rows, -1 for an empty slot, and the instances that carry them, both int32, (E, P).
         """
         slots = slice(None, self._num_carried)
         return self.shape_table.parts[: self._num_rows], self._part_shape[:, slots], self._part_instance[:, slots]
 
     def relabel(self, shape_index: Tensor, semantic_id: Tensor) -> None:
-        """Give the instances other shapes of their groups, in place: what reads the scene goes on. Waits for the device.
+        """Change the shapes of instances within their groups, in place; views stay valid. Waits for the device.
 
         Args:
             shape_index: Row of the shape table, integer, (E, A).
-            semantic_id: What segmentation shows, integer, (E, A).
+            semantic_id: Label in segmentation images, integer, (E, A).
 
         Raises:
             ShapeError: If a tensor does not fit, or if there is no room for that many parts.
@@ -146,7 +144,7 @@ class Scene:
             raise ShapeError(f"shape_index must lie in 0 to {self._num_shapes - 1}, the rows of the shape table")
 
     def _most_parts(self, groups: Sequence[tuple[int, int]] | None) -> int:
-        """Return for how many parts of instances an environment needs room."""
+        """Return the largest possible number of instance parts in an environment."""
         if not self.num_instances:
             return 0
         if groups is None:
@@ -159,11 +157,11 @@ class Scene:
 
     @property
     def num_links(self) -> int:
-        """Number L of links of the robot, 0 where it is not seen."""
+        """Number L of links of the robot, 0 if it is invisible."""
         return 0 if self.robot_state is None else self.robot_state.shape[1]
 
     def _allocate_parts(self, num_parts: int, carriers: Sequence[int]) -> None:
-        """Make room for parts of instances, and write behind them those that belong to none, the last of the shape table."""
+        """Allocate the arrays of parts; parts without instance have the last slots and the last rows of the shape table."""
         first, total = len(self.shape_table.parts) - len(carriers), len(self.shape_table.parts)
         size = (self.num_envs, num_parts + total - first)
         self._num_carried, self._num_rows = num_parts, first
@@ -180,7 +178,7 @@ class Scene:
             rows[:, num_parts:] = torch.tensor(values, dtype=torch.int32, device=self.device)
 
     def _lay_out_parts(self) -> None:
-        """Write row of the shape table (-1 for none), instance, semantic id and radius of every part of an instance."""
+        """Write shape row (-1 for none), instance, semantic id and radius of every instance part."""
         if self.num_instances:
             table, index = self.shape_table, self.shape_index.long()
             end = table.num_parts[index].cumsum(dim=1)  # (E, A): parts of an instance stand side by side
@@ -202,7 +200,7 @@ class Scene:
 
     def _view_robot(self, state: Tensor | None, num_links: int) -> None:
         if state is None:
-            raise ShapeError("robot_state: must be given, (E, L, 13), where the robot has parts that are seen")
+            raise ShapeError("robot_state: (E, L, 13) is needed for the visible parts of the robot")
         state = state.unsqueeze(1) if state.dim() == 2 else state
         size, device = (self.num_envs, num_links), self.device
         check_tensor("robot_state", state, (*size, 13), device=device)
@@ -226,7 +224,7 @@ def _link_of(part: PartCfg, names: Sequence[str]) -> int:
 
 
 def _as_compound(parts: tuple[PartCfg, ...]) -> list[ShapeCfg]:
-    """Return parts that belong to no instance as one more row for the shape table; none without parts."""
+    """Return parts without instance as one compound for the shape table; none without parts."""
     for part in parts:
         if part.semantic_id is None:
             raise ConfigError(f"{part.shape.kind} outside the instances: needs a semantic_id of its own")

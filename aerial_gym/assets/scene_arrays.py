@@ -1,4 +1,4 @@
-"""What kernels see of a scene, as Warp code.
+"""Arrays and poses of a scene in kernels, as Warp code.
 
 Frames: world of each environment, z up. Letters: E environments, A instances, P parts of all instances together, L links of the
 robot that are seen.
@@ -9,21 +9,21 @@ import warp as wp
 from aerial_gym.assets.shape_row import Shape
 
 ABSENT_BELOW = wp.constant(-500.0)
-"""Height [m] below which an instance is absent; half way to the parking place, so that drifting there does not matter."""
+"""Height [m] below which an instance is absent: half of the parking depth, so that drift of parked ones is harmless."""
 
 
 WORLD, BODY = wp.constant(-1), wp.constant(-2)
-"""Carriers of parts that belong to no instance: the world itself, and the robot's body; link k of the robot is ``BODY - k``."""
+"""Carriers of parts without instance: the world and the robot's body; link k of the robot is ``BODY - k``."""
 
 
 @wp.struct
 class SceneArrays:
-    """What a kernel needs to know of a scene."""
+    """Arrays of a scene for kernels."""
 
     shapes: wp.array[Shape]
     part_shape: wp.array2d[wp.int32]  # (E, P) row of the shape table, -1 where there is no part
-    part_instance: wp.array2d[wp.int32]  # (E, P) which instance carries it, or WORLD, or BODY less a link
-    num_solid: wp.int32  # parts from there on are seen and not touched
+    part_instance: wp.array2d[wp.int32]  # (E, P) carrier: an instance, WORLD, or BODY - link
+    num_solid: wp.int32  # parts from this index on are visible only
     semantic_id: wp.array2d[wp.int32]  # (E, P)
     radius: wp.array2d[float]  # (E, P) of the bounding sphere about the part's origin [m]
     position: wp.array2d[wp.vec3]  # (E, A) world [m]
@@ -34,7 +34,7 @@ class SceneArrays:
 
 @wp.func
 def part_position(scene: SceneArrays, env: int, part: int) -> wp.vec3:
-    """Return where the origin of a part is [m], world."""
+    """Return the position of a part's origin [m], world."""
     a = scene.part_instance[env, part]
     offset = scene.shapes[scene.part_shape[env, part]].position
     if a == WORLD:
@@ -47,7 +47,7 @@ def part_position(scene: SceneArrays, env: int, part: int) -> wp.vec3:
 
 @wp.func
 def part_attitude(scene: SceneArrays, env: int, part: int) -> wp.quat:
-    """Return how a part is turned, part to world."""
+    """Return the attitude of a part, part to world, xyzw."""
     a = scene.part_instance[env, part]
     turn = scene.shapes[scene.part_shape[env, part]].attitude
     if a == WORLD:
@@ -59,7 +59,7 @@ def part_attitude(scene: SceneArrays, env: int, part: int) -> wp.quat:
 
 @wp.func
 def part_is_present(scene: SceneArrays, env: int, part: int) -> wp.bool:
-    """Return whether there is such a part and its instance is not parked."""
+    """Return whether a part exists and its instance is not parked."""
     if scene.part_shape[env, part] < 0:
         return False
     a = scene.part_instance[env, part]

@@ -1,4 +1,4 @@
-"""The shapes of a scene as kernels read them: one row for each, and the kinds that there are."""
+"""Rows of the shape table in kernels, and the kinds of shapes."""
 
 import warp as wp
 
@@ -8,9 +8,9 @@ CYLINDER = wp.constant(2)
 CAPSULE = wp.constant(3)
 MESH = wp.constant(4)
 PLANE = wp.constant(5)
-"""Solid below z = 0 of its own frame, without end."""
+"""Half space below z = 0 of its own frame."""
 TRIANGLE = wp.constant(6)
-"""One face of a mesh, made where it is swept and in no table: its corners are ``size``, ``center`` and ``half``."""
+"""One face of a mesh, made during a sweep and in no table; its corners are ``size``, ``center`` and ``half``."""
 
 
 @wp.struct
@@ -18,7 +18,7 @@ class Shape:
     """One row of the shape table."""
 
     mesh: wp.uint64  # Warp mesh id for distances; 0 unless kind is MESH
-    ray_mesh: wp.uint64  # the same triangles in the tree that rays are fastest in
+    ray_mesh: wp.uint64  # the same triangles in a tree optimised for rays
     position: wp.vec3  # of the shape in the frame of its asset [m]
     attitude: wp.quat  # shape to asset, xyzw, unit
     kind: wp.int32  # BOX, SPHERE, CYLINDER, CAPSULE, MESH, PLANE or TRIANGLE

@@ -1,4 +1,4 @@
-"""The shape table: every distinct shape once, analytic or as one Warp mesh, however many instances use it."""
+"""The shape table: every distinct shape once, analytic or as one Warp mesh, shared by all instances."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,11 +21,11 @@ _MARGIN = 1.0 + 1e-5
 """Bounding spheres are larger by this factor, so that float32 rounding (6e-8) never rejects a shape that is hit."""
 
 _FLAT = 1e-4
-"""Bounding boxes of meshes are thicker by this share of their radius, so that a flat sheet has one too."""
+"""Bounding boxes of meshes are thicker by this share of their radius, so that a flat sheet has a volume too."""
 
 
 RAY_TREE = {"bvh_constructor": "cubql", "bvh_leaf_size": 4}
-"""The tree that rays are fastest in on a GPU; Warp gives it no winding numbers (docs/results/rendering.md)."""
+"""The fastest tree for rays on a GPU; Warp computes no winding numbers in it (docs/results/rendering.md)."""
 
 
 class ShapeTable:
@@ -96,7 +96,7 @@ class _Mesh:
 
 
 def half_size(cfg: ShapeCfg) -> tuple[float, float, float]:
-    """Return half the edges of a box [m], or the radius and half the height of what has them; 0 for what it has not."""
+    """Return the half edges of a box [m], or radius, half height and 0 of other shapes; missing sizes are 0."""
     if cfg.size is not None:
         return 0.5 * cfg.size[0], 0.5 * cfg.size[1], 0.5 * cfg.size[2]
     return cfg.radius or 0.0, 0.5 * (cfg.height or 0.0), 0.0
@@ -107,7 +107,7 @@ def _half_box(cfg: ShapeCfg) -> tuple[float, float, float]:
     if cfg.kind == "box":
         return a, b, c
     if cfg.kind == "plane":
-        return 1.0, 1.0, 1.0  # has no bounding box: its frame is not scaled
+        return 1.0, 1.0, 1.0  # a plane has no bounding box
     return a, a, {"cylinder": b, "capsule": a + b}.get(cfg.kind, a)
 
 

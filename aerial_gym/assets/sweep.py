@@ -1,4 +1,4 @@
-"""Whether a robot's shape touches a part between two poses of a step.
+"""Continuous collision detection: contact of a robot's shape with a part between two poses of a step.
 
 Between the poses, one point of each body, its pivot, moves along a straight line, and the body turns about it at a constant
 rate. The search is conservative advancement. At each instant, the nearest pair of robot shape and part gives a plane between
@@ -6,10 +6,9 @@ them that supports the part. No corner of the shape's core can reach the plane b
 its height h, its speed u towards the plane and a bound a of its acceleration, all as seen from the part. The search goes on
 from there.
 
-Parts are convex, so the plane bounds the whole part; of a mesh, each face near the motion is swept as a part of its own. A
-touch is reported if the search comes nearer than ``NEAR`` while it approaches, or needs more than ``MAX_STEPS`` instants.
-Real touches are therefore never missed, and a pass at a larger distance than ``NEAR`` (and 6e-5 of an edge of the part) is
-clear.
+Parts are convex, so the plane bounds the whole part; of a mesh, each face near the motion is swept as a separate part. The
+search reports a contact if it comes nearer than ``NEAR`` during an approach, or needs more than ``MAX_STEPS`` instants. Real
+contacts are therefore never missed. A pass at a distance above ``NEAR`` (and 6e-5 of an edge of the part) is clear.
 Sources: Mirtich (1996), Impulse-based Dynamic Simulation of Rigid Body Systems, PhD thesis, Berkeley (conservative
 advancement); Zhang, Lee, Kim (2006), Interactive continuous collision detection for non-convex polyhedra, The Visual Computer
 22 (bounds of the motion along the direction of the nearest pair).
@@ -28,14 +27,14 @@ from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.shape_row import BOX, MESH, TRIANGLE, Shape
 
 NEAR = wp.constant(2.0e-4)
-"""Distance [m] that counts as a touch between poses. Places up to 1 km from the origin are rounded by 6e-5 m in float32."""
+"""Distance [m] that counts as contact between poses. At 1 km from the origin, float32 rounds positions by 6e-5 m."""
 
 MAX_STEPS = 64
-"""Evaluations before a touch is assumed, up to two at each instant. Of 3,600 passes at 0.5 mm, 99 % needed at most 8, all at
-most 20."""
+"""Evaluations before a contact is assumed, up to two at each instant. Of 3,600 passes at 0.5 mm, 99 % needed at most 8, all
+at most 20."""
 
 EDGE = wp.constant(0.5 ** int(BISECTIONS))
-"""Share of half an edge of a part to which its nearest point to a box is known."""
+"""Accuracy of a part's nearest point to a box, as a share of half an edge."""
 
 
 @wp.struct
@@ -51,7 +50,7 @@ class Path:
 
 @wp.func
 def path_between(pivot: wp.vec3, x0: wp.vec3, q0: wp.quat, x1: wp.vec3, q1: wp.quat) -> Path:
-    """Return the motion from one pose of a body's origin to the next, by the shorter way round."""
+    """Return the motion between two poses of a body's origin, with the shorter rotation."""
     path = Path()
     path.pivot = pivot
     path.start = x0 + wp.quat_rotate(q0, pivot)
@@ -67,19 +66,19 @@ def path_between(pivot: wp.vec3, x0: wp.vec3, q0: wp.quat, x1: wp.vec3, q1: wp.q
 
 @wp.func
 def bow_between(q0: wp.quat, q1: wp.quat) -> float:
-    """Return the largest distance of a turning point from the line between its two places, as a share of its lever arm."""
+    """Return the sagitta of a point's arc between two attitudes, divided by its lever arm: ``1 - cos(angle / 2)``."""
     return 1.0 - wp.abs(wp.dot(q0, q1))
 
 
 @wp.func
 def attitude_at(path: Path, t: float) -> wp.quat:
-    """Return the attitude at a time."""
+    """Return the attitude on a path at time t, body to world, xyzw."""
     return wp.quat_from_axis_angle(wp.normalize(path.turn), t * wp.length(path.turn)) * path.attitude
 
 
 @wp.func
 def time_to_plane(height: float, speed: float, acc: float) -> float:
-    """Return the first time at which a point may reach a plane: the root of ``height = speed t + acc t²/2``, inf for none."""
+    """Return the earliest time at which a point may reach a plane: the root of ``height = speed t + acc t²/2``, or inf."""
     root = wp.sqrt(speed * speed + 2.0 * acc * height)
     if speed > 0.0:
         return 2.0 * height / (speed + root)
@@ -114,7 +113,7 @@ def _time_of_corner(
     surface: float,
     slack: float,
 ) -> float:
-    """Return the time that passes at least until a corner reaches a plane that turns with the part; 0 from below it.
+    """Return a lower bound of the time until a corner reaches a plane that turns with the part; 0 from below it.
 
     ``lever`` leads from the pivot to the corner, ``away`` from the other pivot to the pivot. ``span`` is the largest distance
     of the corner from the other pivot. The plane is where ``outward . (lever) = surface`` at present. All world [m].
@@ -128,18 +127,18 @@ def _time_of_corner(
     other_spin = wp.length(other.turn)
     bend = wp.length(wp.cross(outward, path.turn)) + wp.length(path.turn) * other_spin
     apparent = other_spin * (2.0 * (wp.length(drift) + wp.length(sweep)) + other_spin * span)
-    safe = wp.max(height - 0.5 * slack, 0.5 * wp.max(height, 0.0))  # the rest is room for rounding
+    safe = wp.max(height - 0.5 * slack, 0.5 * wp.max(height, 0.0))  # the rest is a margin for rounding
     return time_to_plane(safe, speed, bend * wp.length(sweep) + apparent)
 
 
 @cache
 def make_touch_time(*, cores: bool) -> wp.Function:
-    """Return the search of one shape of a robot against one part that is no mesh; ``cores``: among boxes and capsules."""
+    """Return the search for contact of one robot shape with a part that is no mesh; ``cores``: for boxes and capsules too."""
     num_corners = 8 if cores else 1
 
     @wp.func
     def touch_time(shape: Shape, other: Path, own: BodyShape, path: Path, first: float, last: float) -> float:
-        """Return the time of the first touch between two times, inf without one; the part's carrier follows ``other``."""
+        """Return the time of the first contact between two times, or inf; the part's carrier follows ``other``."""
         drift = path.shift - other.shift
         t = wp.float32(first)
         k = wp.int32(0)
@@ -214,7 +213,7 @@ def local_center(shape: Shape, other: Path, own: BodyShape, path: Path, t: float
 
 @wp.func
 def swept_box(shape: Shape, other: Path, own: BodyShape, path: Path, first: float, last: float):
-    """Return middle and half edges of a box in the frame of a mesh that holds the robot's shape between two times [m]."""
+    """Return centre and half edges of a bounding box of the robot shape's motion between two times, in a mesh's frame [m]."""
     a = local_center(shape, other, own, path, first)
     b = local_center(shape, other, own, path, last)
     arm = wp.length(own.center - path.pivot)
@@ -240,7 +239,7 @@ def face_of(shape: Shape, face: int) -> Shape:
 
 @cache
 def make_touches(*, cores: bool, meshes: bool) -> wp.Function:
-    """Return the same against any part: a mesh face by face; ``meshes``: whether any part is one."""
+    """Return the contact test against any part, meshes face by face; ``meshes``: whether any part is a mesh."""
     touch_time = make_touch_time(cores=cores)
 
     @wp.func
@@ -276,7 +275,7 @@ def make_touches(*, cores: bool, meshes: bool) -> wp.Function:
 
 @cache
 def make_meets_still(*, cores: bool, meshes: bool) -> wp.Function:
-    """Return the sweep of a robot's shapes against a part at rest, through a step."""
+    """Return the sweep of a robot's shapes against a part at rest over a step."""
     touches, body_type = make_touches(cores=cores, meshes=meshes), wp.array[BodyShape] if cores else wp.array[wp.vec4]
 
     @wp.func
@@ -292,9 +291,9 @@ def make_meets_still(*, cores: bool, meshes: bool) -> wp.Function:
         attitude: wp.array2d[wp.quat],
         env: int,
     ) -> wp.bool:
-        """Return whether a shape touches the part of a carrier at pose (x, q) between any two poses in a row.
+        """Return whether a shape touches the part of a carrier at pose (x, q) between any two consecutive poses.
 
-        ``radius`` [m] is that of a ball about the part's origin, ``hull`` that of one about the body's.
+        ``radius`` [m] bounds the part about its origin, ``hull`` the robot about the body's.
         """
         other = Path()
         other.start = x
@@ -320,7 +319,7 @@ def make_meets_still(*, cores: bool, meshes: bool) -> wp.Function:
 
 @cache
 def make_meets_moving(*, cores: bool, meshes: bool) -> wp.Function:
-    """Return the sweep of a robot's shapes against a part that moves, through one substep."""
+    """Return the sweep of a robot's shapes against a moving part over one substep."""
     touches, body_type = make_touches(cores=cores, meshes=meshes), wp.array[BodyShape] if cores else wp.array[wp.vec4]
 
     @wp.func
@@ -340,7 +339,7 @@ def make_meets_moving(*, cores: bool, meshes: bool) -> wp.Function:
     ) -> wp.bool:
         """Return whether a shape touches the part; its carrier, instance a, starts at pose (x, q) with velocity v.
 
-        The carrier moves in a straight line between two times at which it turns round or is wrapped.
+        The carrier moves in a straight line between the times of its reversals and wraps.
         """
         first = wp.float32(0.0)
         while first < 1.0:

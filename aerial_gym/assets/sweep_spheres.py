@@ -1,4 +1,4 @@
-"""Whether a robot's spheres touch a part at rest between two poses of a step.
+"""Continuous collision detection of a robot's spheres with a part at rest, between two poses of a step.
 
 The search is that of ``sweep``, for a centre that moves along a line and around an axis, in the frame of the part.
 """
@@ -38,7 +38,7 @@ def _ball_touches(
         height = wp.dot(normal, center) - support(shape, normal) - radius
         wait = wp.max(distance - 0.5 * NEAR, 0.0) / wp.max(speed, 1.0e-20)
         if height >= -0.25 * NEAR:
-            safe = wp.max(height - 0.5 * NEAR, 0.5 * wp.max(height, 0.0))  # the rest is room for rounding
+            safe = wp.max(height - 0.5 * NEAR, 0.5 * wp.max(height, 0.0))  # the rest is a margin for rounding
             wait = wp.max(wait, time_to_plane(safe, towards, bend))
         if wait >= left:
             return False
@@ -63,7 +63,7 @@ def balls_meet_still(
 ) -> wp.bool:
     """Return whether a sphere touches the part, as ``meets_still`` does.
 
-    The nearest pair at the last pose gives a plane. Substeps that are wholly above it are clear, and nearly all of them are.
+    The nearest pair at the last pose gives a plane. It clears nearly all substeps, those wholly above it, at once.
     """
     origin = x + wp.quat_rotate(q, shape.position)
     turn = q * shape.attitude

@@ -1,6 +1,6 @@
-"""Where a reset puts the gates and poles of a race track, and where they are nominally.
+"""Random race tracks: nominal and actual places of gates and poles, drawn at a reset.
 
-One thread draws the track of an environment, by numbers that depend on seed, environment, episode and what is drawn alone.
+One thread draws the track of an environment; the numbers depend only on seed, environment, episode and quantity.
 Frames: world of each environment, z up. Letters: E environments, G gates, P poles.
 """
 
@@ -18,18 +18,18 @@ from aerial_gym.math.draws import RandomArrays, draw_vec3, quat_of_angles, rando
 from aerial_gym.math.random import Purpose, Randomness
 
 NUM_ATTEMPTS = 64
-"""How often a place is drawn until it keeps its distances. If these leave a twentieth of the area, 4 % of all draws miss it and
-take what comes closest."""
+"""Attempts to draw a place that keeps its distances; then the best attempt counts. If these distances leave 5 % of the area,
+4 % of all draws fail."""
 
 PLACE, IN_CORRIDOR, YAW, POSITION_OFFSET, EULER_OFFSET, POLE_PLACE, POLE_OFFSET = (wp.constant(i) for i in range(7))
-"""What is drawn of a gate and of the pole before it."""
+"""Drawn quantities of a gate and of the pole before it."""
 
 NUM_DRAWS = wp.constant(7)
 
 
 @wp.struct
 class Layout:
-    """``LayoutCfg`` in a kernel."""
+    """Kernel form of ``LayoutCfg``."""
 
     is_drawn: wp.int32
     lower: wp.vec2  # [m]
@@ -44,7 +44,7 @@ class Layout:
 
 @wp.struct
 class Track:
-    """``TrackCfg`` in a kernel."""
+    """Kernel form of ``TrackCfg``."""
 
     gate_position: wp.array[wp.vec3]  # (G,) nominal, world [m]
     gate_euler: wp.array[wp.vec3]  # (G,) [rad]
@@ -60,7 +60,7 @@ class Track:
 
 @wp.struct
 class Places:
-    """Where gates and poles are."""
+    """Poses of gates and positions of poles."""
 
     gate_position: wp.array2d[wp.vec3]  # (E, G) world [m]
     gate_attitude: wp.array2d[wp.quat]  # (E, G) gate to world, xyzw
@@ -76,7 +76,7 @@ def _flat(place: wp.vec3) -> wp.vec2:
 def _room(
     nominal: Places,
     env: int,
-    gates: int,  # of which the place is known
+    gates: int,  # number of gates with a known place
     poles: int,
     start: wp.vec2,
     point: wp.vec2,
@@ -84,7 +84,7 @@ def _room(
     to_gate: float,
     to_pole: float,
 ) -> float:
-    """Return by how much a point keeps its distances, [m]; negative where it does not."""
+    """Return the smallest margin of a point above its required distances [m]; negative if one is violated."""
     room = wp.length(point - start) - to_start
     for g in range(gates):
         room = wp.min(room, wp.length(point - _flat(nominal.gate_position[env, g])) - to_gate)
@@ -95,7 +95,7 @@ def _room(
 
 @wp.func
 def _gate_place(nominal: Places, layout: Layout, env: int, g: int, poles: int, start: wp.vec2, random: wp.uint32):
-    """Return a place for the next gate [m], and its heading from the one before [rad]."""
+    """Draw the place of the next gate [m], and its heading from the previous one [rad]."""
     best = wp.vec2()
     most = float(-wp.inf)
     attempt = wp.int32(0)
@@ -117,7 +117,7 @@ def _gate_place(nominal: Places, layout: Layout, env: int, g: int, poles: int, s
 
 @wp.func
 def _pole_place(nominal: Places, layout: Layout, env: int, g: int, start: wp.vec2, near: wp.uint32, far: wp.uint32):
-    """Return a place [m] for the pole on the way to a gate whose place is known."""
+    """Draw the place [m] of the pole before a gate of known place."""
     last = start
     if g > 0:
         last = _flat(nominal.gate_position[env, g - 1])
@@ -127,7 +127,7 @@ def _pole_place(nominal: Places, layout: Layout, env: int, g: int, start: wp.vec
     most = float(-wp.inf)
     attempt = wp.int32(0)
     if 0.25 * wp.dot(way, way) + layout.corridor * layout.corridor < layout.pole_to_gate * layout.pole_to_gate:
-        attempt = NUM_ATTEMPTS  # even the middle of its edges is too near to both gates
+        attempt = NUM_ATTEMPTS  # even the middle of the corridor's edges is too near to both gates
     while attempt < 2 * NUM_ATTEMPTS and most < 0.0:
         point = wp.vec2()
         if attempt < NUM_ATTEMPTS:
@@ -162,7 +162,7 @@ def _draw_track(
     places_out: Places,
     obstacles_out: Obstacles,
 ):
-    """Write the track of masked environments: nominal places, and where gates and poles are, the first G + P instances."""
+    """Draw the track of masked environments: nominal and actual places of gates and poles, the first G + P instances."""
     env = wp.tid()
     if not mask[env]:
         return
@@ -222,7 +222,7 @@ def _places(tensors: Sequence[Tensor]) -> Places:
 
 
 class TrackPlacement:
-    """Draws the tracks of masked environments, with all views made at construction."""
+    """Draws of the tracks of masked environments; all views are made at construction."""
 
     def __init__(
         self,
@@ -234,13 +234,14 @@ class TrackPlacement:
         start: Tensor,
         random: Randomness,
     ) -> None:
-        """Take what is written and what it depends on.
+        """Record the launch.
 
         Args:
-            obstacles: The instances, of which gates and poles are the first.
-            gates: Places positions [m], world, (E, G, 3), and attitudes, gate to world, xyzw, (E, G, 4); written.
-            poles: Places tops [m], world, (E, P, 3); written.
-            start: Where the robot starts [m], world, (E, 3); read at every draw.
+            obstacles: The instances; gates and poles are the first.
+            nominal: Gate positions [m], world, (E, G, 3), gate attitudes, gate to world, xyzw, (E, G, 4), and pole tops
+                [m], world, (E, P, 3); written.
+            places: The actual ones, likewise.
+            start: Start of the robot [m], world, (E, 3); read at every draw.
         """
         start_warp()
         device = start.device
@@ -262,5 +263,5 @@ class TrackPlacement:
         )
 
     def draw(self) -> None:
-        """Draw for the environments of the mask that ``random`` keeps; launched on torch's current stream, not waited for."""
+        """Launch the draw for the masked environments of ``random`` on torch's current stream."""
         self._command.launch(self._mask)

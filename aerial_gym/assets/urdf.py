@@ -32,8 +32,8 @@ _JOINTS = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
 
 def load_urdf_shape(shape: ShapeCfg) -> ShapeCfg:
     """Return the compound that a shape of kind ``urdf`` stands for; its colour is that of links without a material."""
-    found = load_urdf(str(shape.path), link_ids=shape.link_ids or {}, first_link_id=shape.first_link_id)
-    return replace(found, color=shape.color)
+    compound = load_urdf(str(shape.path), link_ids=shape.link_ids or {}, first_link_id=shape.first_link_id)
+    return replace(compound, color=shape.color)
 
 
 def load_urdf(
@@ -43,9 +43,9 @@ def load_urdf(
 
     Args:
         path: The file; its mesh files are found beside it, also those named ``package://``.
-        link_ids: What segmentation shows for named links, 0 to 99.
-        first_link_id: The other links count up from here in the order of the file; if not given, they show what the
-            asset shows.
+        link_ids: Semantic ids of named links, 0 to 99.
+        first_link_id: Semantic id of the first other link; the rest count up in the order of the file. None gives them that of
+            the asset.
 
     Raises:
         ConfigError: If the file or a mesh is missing, is not a URDF, holds no geometry or an impossible number, has no
@@ -75,22 +75,22 @@ def load_urdf(
 
 
 def link_poses(robot: "URDF") -> dict[str, np.ndarray]:
-    """Return where each link is in the frame of the root, (4, 4), with all joints at zero and mimics at their offsets.
+    """Return the pose of each link in the root frame, (4, 4), with all joints at zero and mimics at their offsets.
 
-    The library's own scene takes a time that grows with the square of the links.
+    The time of the library's own scene grows with the square of the number of links.
     """
     below: dict[str, list[Joint]] = {}
     for joint in robot.joint_map.values():
         below.setdefault(joint.parent, []).append(joint)
     children = {joint.child for joint in robot.joint_map.values()}
     waiting = [name for name in robot.link_map if name not in children]
-    found = {name: np.eye(4) for name in waiting}
+    poses = {name: np.eye(4) for name in waiting}
     while waiting:
         name = waiting.pop()
         for joint in below.get(name, []):
-            found[joint.child] = found[name] @ _at_zero(joint)
+            poses[joint.child] = poses[name] @ _at_zero(joint)
             waiting.append(joint.child)
-    return found
+    return poses
 
 
 def _at_zero(joint: "Joint") -> np.ndarray:
@@ -107,17 +107,17 @@ def _at_zero(joint: "Joint") -> np.ndarray:
 
 
 def _colors(robot: "URDF", link: "Link", *, count: int) -> list[Vec3 | None]:
-    """Return a colour for each of ``count`` geometries of a link: that of its own visual, or of the first one that has any.
+    """Return the colours of ``count`` geometries of a link: of their own visuals, or of the first visual that has one.
 
     Collision geometries have no materials; where a link has as many visuals, they are taken to be the same in order.
 
     Raises:
         ConfigError: If a colour is not four numbers in 0 to 1.
     """
-    found = [_color(robot, visual.material) for visual in link.visuals]
-    if len(found) == count:
-        return found
-    return [next((color for color in found if color is not None), None)] * count
+    colors = [_color(robot, visual.material) for visual in link.visuals]
+    if len(colors) == count:
+        return colors
+    return [next((color for color in colors if color is not None), None)] * count
 
 
 def _color(robot: "URDF", material: "Material | None") -> Vec3 | None:
@@ -130,7 +130,7 @@ def _color(robot: "URDF", material: "Material | None") -> Vec3 | None:
         return None
     rgba = np.asarray(color.rgba, dtype=float)
     if rgba.shape != (4,) or not ((rgba >= 0.0) & (rgba <= 1.0)).all():
-        raise ConfigError(f"material {material.name!r}: rgba {rgba.tolist()} must be four numbers in 0 to 1")
+        raise ConfigError(f"material {material.name!r}: rgba {rgba.tolist()} must be four numbers from 0 to 1")
     return float(rgba[0]), float(rgba[1]), float(rgba[2])
 
 
@@ -234,10 +234,10 @@ def _shape(geometry: "Geometry", folder: Path) -> ShapeCfg:
 
 
 def _mesh_file(name: str, folder: Path) -> Path:
-    """Return where a mesh is: beside the URDF, or, for ``package://NAME/rest``, in the asset folder.
+    """Return the path of a mesh file: beside the URDF or, for ``package://NAME/rest``, in the asset folder.
 
     That is the folder of the URDF and ``PACKAGE_LEVELS`` above it: there ``NAME/rest``, or ``rest``, is looked for. A name that
-    leads out of the folder in which it was found, by ``..`` or by a link, is refused.
+    leads out of the folder in which it was matches, by ``..`` or by a link, is refused.
     """
     package = name.startswith("package://")
     whole = name.removeprefix("package://").removeprefix("file://")
@@ -245,10 +245,10 @@ def _mesh_file(name: str, folder: Path) -> Path:
     bases = (
         [base for base in (folder, *folder.parents[:PACKAGE_LEVELS]) if base.parent != base] if package else [folder]
     )
-    found = [(base, base / tail) for base in bases for tail in tails if tail and (base / tail).is_file()]
-    if not found:
+    matches = [(base, base / tail) for base in bases for tail in tails if tail and (base / tail).is_file()]
+    if not matches:
         raise ConfigError(f"mesh {name}: no such file")
-    base, file = found[0]
+    base, file = matches[0]
     if package and not file.resolve().is_relative_to(base):
         raise ConfigError(f"mesh {name}: leads out of the folder {base}. Copy the file beside the URDF")
     return file

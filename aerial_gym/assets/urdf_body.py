@@ -1,4 +1,4 @@
-"""Mass and inertia of links that are welded together, and of a URDF file as one rigid body, joints fixed at zero.
+"""Mass and inertia of rigidly joined links, and of a URDF file as one rigid body, joints fixed at zero.
 
 Frames: axes and origin of the root link; SI units. Letters: L links.
 """
@@ -15,7 +15,7 @@ from aerial_gym.errors import ConfigError
 
 @dataclass(frozen=True)
 class RigidBody:
-    """What all links weigh together."""
+    """Mass, centre of mass and inertia of a rigid body."""
 
     mass: float  # [kg]
     com: np.ndarray  # Centre of mass from the origin of the root link [m], (3,)
@@ -23,11 +23,11 @@ class RigidBody:
 
 
 def weld(masses: Sequence[float], poses: Sequence[np.ndarray], inertias: Sequence[np.ndarray]) -> RigidBody:
-    """Return links as one body, by the parallel axis theorem.
+    """Combine links into one body by the parallel axis theorem.
 
     Args:
         masses: Of the links [kg], L of them, not all 0.
-        poses: Frames of their centres of mass, whose axes those of their inertia are, in that of the root, (4, 4) each.
+        poses: Poses of their inertia frames, with the centre of mass as origin, in the root frame, (4, 4) each.
         inertias: About their own centres of mass [kg m²], (3, 3) each.
 
     Source:

@@ -1,4 +1,4 @@
-"""Families of shapes: each a rule that makes any number of variants from a seed and a few numbers."""
+"""Families of shapes: rules that make any number of random variants from a seed and ranges of dimensions."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -36,10 +36,10 @@ for _name, _family in {
 
 
 def family_shapes(cfg: FamilyCfg) -> tuple[ShapeCfg, ...]:
-    """Return the shapes that a configuration asks for; the same ones every time.
+    """Return the shapes of a family configuration, identical at every call.
 
     Raises:
-        UnknownNameError: If there is no such family; the message lists what exists.
+        UnknownNameError: If there is no such family; the message lists the known ones.
         ConfigError: If the family cannot make them.
     """
     return FAMILIES.get(cfg.name).shapes(cfg)

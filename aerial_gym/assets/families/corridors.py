@@ -5,7 +5,7 @@ from aerial_gym.config.environment import PartCfg, ShapeCfg
 
 
 def shell(size: tuple[float, float, float], thickness: float, *faces: str) -> tuple[PartCfg, ...]:
-    """Return walls around an inside of a size [m], centred on the origin; a face is named as in ``WALL_IDS``."""
+    """Return walls around a centred interior of the given size [m]; faces are named as in ``WALL_IDS``."""
     axes = {"front": (0, 1), "back": (0, -1), "left": (1, 1), "right": (1, -1), "top": (2, 1), "bottom": (2, -1)}
     parts = []
     for face in faces:

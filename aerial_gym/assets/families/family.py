@@ -1,4 +1,4 @@
-"""A family of shapes: a rule and the ranges of the numbers it draws."""
+"""A family of shapes: a rule and the ranges of its random dimensions."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from aerial_gym.errors import ConfigError
 Range = tuple[float, float]
 
 WALL_IDS = {"front": 9, "back": 10, "left": 11, "right": 12, "bottom": 13, "top": 14}
-"""What segmentation shows for the faces of rooms and corridors. Source: parity 2.2."""
+"""Semantic ids of the faces of rooms and corridors. Source: parity 2.2."""
 
 WALL_COLORS: dict[int, Vec3] = {
     WALL_IDS["front"]: (0.72, 0.74, 0.78),
@@ -22,45 +22,45 @@ WALL_COLORS: dict[int, Vec3] = {
     WALL_IDS["bottom"]: (0.46, 0.44, 0.42),
     WALL_IDS["top"]: (0.86, 0.86, 0.84),
 }
-"""What they look like, as the walls of the registered environments. Plain choices."""
+"""Colours of these faces, as in the registered environments. Plain choices."""
 
 assert max(WALL_IDS.values()) < FIRST_INSTANCE_ID
 
 
 class Draw:
-    """Numbers of one variant, drawn in the order in which its rule asks for them."""
+    """Random numbers of one variant, drawn in the order of the calls."""
 
     def __init__(self, ranges: Mapping[str, Range], *, seed: int, variant: int) -> None:
-        """Begin the draws of a variant, which depend on the seed, its number and the ranges alone."""
+        """Seed the draws of a variant, which depend only on the seed, its number and the ranges."""
         self._ranges, self._random = ranges, np.random.default_rng((seed, variant))
 
     def __call__(self, name: str) -> float:
-        """Return a number of the family, uniform within its range."""
+        """Draw a declared number, uniform within its range."""
         return self.between(*self._ranges[name])
 
     def between(self, low: float, high: float) -> float:
-        """Return a number of the rule's own."""
+        """Draw a number between two limits, for use inside a rule."""
         return low + (high - low) * float(self._random.random())
 
     def count(self, name: str) -> int:
-        """Return a whole number of the family, each in its range with the same chance."""
+        """Draw a declared integer; each value of its range has the same probability."""
         low, high = self._ranges[name]
         return int(self._random.integers(round(low), round(high), endpoint=True))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Family:
-    """A rule that makes shapes."""
+    """A rule that makes shapes, with the ranges of its numbers."""
 
     summary: str  # One line for people who choose a family
     ranges: Mapping[str, Range]  # Lowest and highest value of every number; lengths in metres, angles in radians
     make: Callable[[Draw], ShapeCfg]  # The rule
 
     def shapes(self, cfg: FamilyCfg) -> tuple[ShapeCfg, ...]:
-        """Return the variants that a configuration asks for.
+        """Return the variants of a configuration.
 
         Raises:
-            ConfigError: If it names a number that the family does not have, or one with which no shape can be made.
+            ConfigError: If it names a number that the family lacks, or gives one that makes an impossible shape.
         """
         for name in cfg.ranges:
             if name not in self.ranges:
@@ -74,6 +74,6 @@ class Family:
 
 
 def box(size: tuple[float, float, float], at: tuple[float, float, float], semantic_id: int | None = None) -> PartCfg:
-    """Return a box as a part; edge lengths and place of its centre [m]."""
+    """Return a box as a part, from its edge lengths and centre [m]."""
     color = None if semantic_id is None else WALL_COLORS.get(semantic_id)
     return PartCfg(shape=ShapeCfg(kind="box", size=size, color=color), position=at, semantic_id=semantic_id)

@@ -13,7 +13,7 @@ _LEG = 0.05
 
 
 def table_parts(length: float, width: float, height: float) -> tuple[PartCfg, ...]:
-    """Return a top along x and four legs; outer sizes [m]."""
+    """Return the parts of a table: a top along x and four legs; outer sizes [m]."""
     leg, x, y = height - _BOARD, 0.5 * (length - _LEG), 0.5 * (width - _LEG)
     corners = [(i * x, j * y, 0.5 * leg) for i in (-1.0, 1.0) for j in (-1.0, 1.0)]
     top = box((length, width, _BOARD), (0.0, 0.0, height - 0.5 * _BOARD))
@@ -21,7 +21,7 @@ def table_parts(length: float, width: float, height: float) -> tuple[PartCfg, ..
 
 
 def shelf_parts(length: float, depth: float, height: float, boards: int) -> tuple[PartCfg, ...]:
-    """Return two sides and evenly spaced boards, along x, open at the front and back; outer sizes [m]."""
+    """Return the parts of a shelf along x, open at front and back: two sides and evenly spaced boards; outer sizes [m]."""
     x = 0.5 * (length - _BOARD)
     sides = tuple(box((_BOARD, depth, height), (side * x, 0.0, 0.5 * height)) for side in (-1.0, 1.0))
     inner = length - 2.0 * _BOARD
@@ -30,7 +30,7 @@ def shelf_parts(length: float, depth: float, height: float, boards: int) -> tupl
 
 
 def placed(parts: tuple[PartCfg, ...], at: tuple[float, float, float], yaw: float) -> tuple[PartCfg, ...]:
-    """Return upright parts turned by a yaw [rad] about the origin and then moved [m]."""
+    """Return upright parts after a rotation about z by ``yaw`` [rad] and a displacement ``at`` [m]."""
     c, s = cos(yaw), sin(yaw)
     return tuple(
         PartCfg(

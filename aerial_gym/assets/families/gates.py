@@ -1,11 +1,11 @@
-"""Gates of a race track: a square frame on a stand, and poles; flown through along x, origin in the middle of the opening."""
+"""Gates of a race track (a square frame on a stand, flown through along x, origin in its centre) and poles."""
 
 from aerial_gym.assets.families.family import Draw, Family, box
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 
 
 def frame_parts(opening: float, bar: float, depth: float) -> tuple[PartCfg, ...]:
-    """Return the four bars of a square frame in the plane x = 0: edge of its opening, width of a bar, and depth [m]."""
+    """Return the four bars of a square frame in the plane x = 0, from opening edge, bar width and depth [m]."""
     outer, middle = opening + 2.0 * bar, 0.5 * (opening + bar)
     level = [box((depth, outer, bar), (0.0, 0.0, side * middle)) for side in (1.0, -1.0)]
     upright = [box((depth, bar, opening), (0.0, side * middle, 0.0)) for side in (1.0, -1.0)]

@@ -1,4 +1,4 @@
-"""Thin rods: cylinders that a coarse image misses."""
+"""Thin rods: cylinders that images of low resolution miss."""
 
 from aerial_gym.assets.families.family import Draw, Family
 from aerial_gym.config.environment import ShapeCfg

@@ -6,11 +6,11 @@ from aerial_gym.assets.families.family import Draw, Family
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 
 TRUNK, BRANCH = (0.40, 0.28, 0.18), (0.30, 0.46, 0.22)
-"""Colours of a trunk and of what grows on it. Plain choices: bark and leaves."""
+"""Colours of trunks and branches. Plain choices: bark and leaves."""
 
 
 def _branch(draw: Draw, tree_height: float) -> PartCfg:
-    """Return a branch: it leaves the trunk somewhere above its lowest third, in any direction, and rises."""
+    """Return a rising branch in a random direction, which starts above the lowest third of the trunk."""
     foot = tree_height * draw.between(0.35, 1.0)
     length, tilt, heading = draw("branch_length"), 0.5 * pi - draw("rise"), draw.between(-pi, pi)
     middle = 0.5 * length
