@@ -135,7 +135,7 @@ class CascadeController(RememberingController):
         return self.allocation.speed(allotted.thrust), torch.cat((integral, slope, ang_vel), dim=-1)
 
     @property
-    def named_gains(self) -> dict[str, Tensor]:
+    def gains_by_name(self) -> dict[str, Tensor]:
         """The law's gains; over a rate loop that on attitude is body rate per error [1/s], and that on the rate, 1, is none."""
         names = GAINS if self.rate_gains is None else GAINS[:-1]
         return {name: getattr(self.gains, name) for name in names}
@@ -153,7 +153,7 @@ class CascadeController(RememberingController):
             return None
         has_loop = self.rate_gains is not None
         return self._fused(
-            remembering=cascade_fused.maker(self._law, self.timing, self._layout, has_loop=has_loop),
+            make_stateful_step=cascade_fused.maker(self._law, self.timing, self._layout, has_loop=has_loop),
             gains_type=cascade_fused.CascadeGains if has_loop else lee_fused.Gains,
             gains=self._fused_gains(),
         )

@@ -38,7 +38,7 @@ class CascadeGains:
 def maker(
     lee_law: "Law", timing: Timing, layout: "Layout", *, has_loop: bool
 ) -> Callable[[FusedLaw, int, bool], wp.Function]:
-    """Return what composes the controller for a number of rotors: ``FusedLaw.remembering``."""
+    """Return what composes the controller for a number of rotors: ``FusedLaw.make_stateful_step``."""
 
     def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
         if has_loop:

@@ -47,7 +47,7 @@ class Controller(Protocol):
     """Meaning and unit of each entry of the action."""
 
     @property
-    def named_gains(self) -> Mapping[str, Tensor]:
+    def gains_by_name(self) -> Mapping[str, Tensor]:
         """Gains that ``randomize:`` knows as ``gains.NAME``, by these names, (E, 3); whoever has any has ``own_gains`` too."""
         ...
 
@@ -63,7 +63,7 @@ class Controller(Protocol):
 class ThrustController:
     """``no_control``: the action is the thrust of each rotor [N], clamped to its limits."""
 
-    named_gains: Mapping[str, Tensor] = MappingProxyType({})
+    gains_by_name: Mapping[str, Tensor] = MappingProxyType({})
     """It has none."""
 
     def __init__(self, vehicle: Vehicle, gravity: float, control: ControlCfg) -> None:
@@ -84,7 +84,7 @@ class ThrustController:
 class RotorSpeedController:
     """``rotor_speed_control``: the action is the speed of each rotor [rad/s], in force mode its thrust [N], within limits."""
 
-    named_gains: Mapping[str, Tensor] = MappingProxyType({})
+    gains_by_name: Mapping[str, Tensor] = MappingProxyType({})
     """It has none."""
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -126,7 +126,7 @@ class LeeController:
         self.gains = gains_for(cfg, control, vehicle, self.allocation, gravity=gravity, dt=dt)
 
     @property
-    def named_gains(self) -> dict[str, Tensor]:
+    def gains_by_name(self) -> dict[str, Tensor]:
         """All of its gains."""
         return {name: getattr(self.gains, name) for name in GAINS}
 

@@ -63,7 +63,7 @@ class Rest:
 
     start: Tensor  # First states, (B, X): the rest of a vehicle that flies as its law expects
     state: Tensor  # Of rest, (B, X); those of the start where there is none
-    found: Tensor  # Whether there is one, bool (B,): none where a law asks for too much thrust or tilt
+    converged: Tensor  # Whether there is one, bool (B,): none if a law demands too much thrust or tilt
     loop: LinearLoop  # Linearised there
 
     @property
@@ -87,14 +87,14 @@ def find_rest(loop: SampledLoop, start: Tensor, action: Tensor, kept: Sequence[i
     for _ in range(ITERATIONS):
         step = _newton_step(about, kept)
         size = torch.cat((torch.ones_like(step[:, :BODY]), state[:, BODY:].abs().clamp_min(1.0)), -1)
-        found = (step.abs() / size).amax(-1) < SETTLED  # NaN is not
+        converged = (step.abs() / size).amax(-1) < SETTLED  # NaN is not
         step = step * (LARGEST_TURN / step[:, 3:6].abs().amax(-1, keepdim=True).clamp_min(LARGEST_TURN))
         state = torch.where(step.isfinite().all(-1, keepdim=True), state + step, state)
-        if bool(found.all()):
-            return Rest(start=start, state=state, found=found, loop=about)
+        if bool(converged.all()):
+            return Rest(start=start, state=state, converged=converged, loop=about)
         about = loop.linearised(state, action)
-    state = torch.where(found.unsqueeze(-1), state, start)
-    return Rest(start=start, state=state, found=found, loop=loop.linearised(state, action))
+    state = torch.where(converged.unsqueeze(-1), state, start)
+    return Rest(start=start, state=state, converged=converged, loop=loop.linearised(state, action))
 
 
 def _newton_step(loop: LinearLoop, kept: Sequence[int]) -> Tensor:
@@ -119,11 +119,11 @@ def distances(rest: Rest, *, rotors: Tensor, dt: float) -> Tensor:
     sent = ((rotors - loop.told) @ loop.basis).repeat(1, loop.slots)
     deviation = torch.cat((begin, sent, torch.ones_like(begin[:, :1])), dim=-1).unsqueeze(-1)
     periods = max(1, ceil(HOVER_SPAN / SAMPLES / (len(loop.steps) * dt)))
-    leap, found = torch.linalg.matrix_power(loop.period_map(), periods), []
+    leap, history = torch.linalg.matrix_power(loop.period_map(), periods), []
     for _ in range(SAMPLES):
         deviation = leap @ deviation
-        found.append((deviation[:, :3, 0] - begin[:, :3]).norm(dim=-1))
-    return torch.stack(found).nan_to_num(nan=inf)
+        history.append((deviation[:, :3, 0] - begin[:, :3]).norm(dim=-1))
+    return torch.stack(history).nan_to_num(nan=inf)
 
 
 def flown_distance(loop: SampledLoop, rest: Rest, action: Tensor, *, returns: bool, decays: bool) -> float:

@@ -62,7 +62,7 @@ class LinearLoop:
 
     steps: tuple[LinearStep, ...]  # In their order; steps of equal phases are the same object
     told: Tensor  # Command in that state, (B, R)
-    turned_back: Callable[[Tensor], Tensor]  # Law memory (..., N) after a period in the order of before
+    rotate_ring: Callable[[Tensor], Tensor]  # Law memory (..., N) after a period in the order of before
     slots: int  # Commands on their way: whole physics steps of dead time and one; 0 without a dead time
 
     @cached_property
@@ -86,7 +86,7 @@ class LinearLoop:
         whole = reduce(lambda before, after: after @ before, parts)
         plant, size = self.steps[0].plant.shape[-1], self.steps[0].change.shape[-1]
         remembered = whole[:, plant:size].mT
-        whole[:, plant:size] = self.turned_back(remembered.flatten(0, 1)).view(remembered.shape).mT
+        whole[:, plant:size] = self.rotate_ring(remembered.flatten(0, 1)).view(remembered.shape).mT
         return whole
 
 
@@ -180,7 +180,7 @@ class SampledLoop:
         return LinearLoop(
             steps=tuple(found[phase] for phase in phases),
             told=told,
-            turned_back=(lambda rows: rows) if cascade is None else cascade.turned_back,
+            rotate_ring=(lambda rows: rows) if cascade is None else cascade.rotate_ring,
             slots=self._whole + 1 if self._model.effects[DelayEffect] else 0,
         )
 

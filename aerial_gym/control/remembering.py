@@ -105,7 +105,7 @@ class RememberingController(ABC):
         """Return numbers and wishes of a memory, as ``memory_from`` takes them."""
         return torch.cat((memory.numbers, memory.past[:, : self._layout.actions]), dim=-1)
 
-    def turned_back(self, remembered: Tensor) -> Tensor:
+    def rotate_ring(self, remembered: Tensor) -> Tensor:
         """Return numbers and wishes (N, ...) after a period with the ring turned: equal places are then equally old."""
         numbers, sent = remembered.split((self._layout.width, self._layout.actions), dim=-1)
         slots = self.timing.setpoint_slots

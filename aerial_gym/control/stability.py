@@ -203,7 +203,7 @@ class ClosedLoop:
 
     def is_stable(self, dt: float) -> bool:
         """Return whether the loop comes to rest at a time step [s], also with gains at the ends of what is drawn."""
-        return all(bool(self.rest(dt, corner).found.all()) for corner in self._corners) and stable(self.radii(dt))
+        return all(bool(self.rest(dt, corner).converged.all()) for corner in self._corners) and stable(self.radii(dt))
 
     def is_firm(self, dt: float) -> bool:
         """Return whether the loop comes to rest at a time step [s] with the margin of ``LOOP_GAINS``."""
@@ -263,7 +263,7 @@ class ClosedLoop:
     def hovers(self, dt: float) -> list[Hover]:
         """Return the hover of each vehicle at a time step [s], without flights."""
         rest, growth = self.rest(dt), self.growth(dt)
-        rests, way = rest.found & (growth <= 1.0 + ROUND_OFF), torch.zeros_like(growth)
+        rests, way = rest.converged & (growth <= 1.0 + ROUND_OFF), torch.zeros_like(growth)
         if self.holds_place:
             away = rest.offset.norm(dim=-1) + HOVER_SPAN * rest.drift.norm(dim=-1)
             way = torch.where(rests, self.distance(dt), away)
@@ -328,7 +328,7 @@ class ClosedLoop:
         from aerial_gym.control.cascade import CascadeController
 
         if isinstance(law, LeeController | CascadeController):
-            chosen, known = zip(self.drawn.items(), corner, strict=True), law.named_gains
+            chosen, known = zip(self.drawn.items(), corner, strict=True), law.gains_by_name
             ends = {name: ends_of(name, cfg, known[name])[end] for (name, cfg), end in chosen if name in known}
             law.gains = replace(law.gains, **ends)
         return law

@@ -207,7 +207,7 @@ class RobotManager:
         """Return the layout of what is drawn, and declare its numbers; None where nothing is drawn."""
         if not cfg:
             return None
-        gains = self.controller.named_gains
+        gains = self.controller.gains_by_name
         randomized = Randomized(cfg, self.cfg, self.declared, self._effects, gains)
         if self.articulation is not None:
             check_drawn_bodies(randomized, self.articulation, [params for _, params in self._effects])
@@ -296,7 +296,7 @@ class RobotManager:
         found = [] if self._allocation is None else [*self._allocation.rows.values()]
         if self._randomized is not None:
             found += [self._effects[i][1] for i in self._randomized.drawn_effects]
-            found += [self.controller.named_gains[name] for name in self._randomized.drawn_gains]
+            found += [self.controller.gains_by_name[name] for name in self._randomized.drawn_gains]
         if self.imu_errors is not None and self._draws_imu_errors:
             found.append(self.imu_errors)
         return found
@@ -344,7 +344,7 @@ class RobotManager:
     def state_tensors(self) -> dict[str, Tensor]:
         """Return what must be kept to go on beside the GTD, by name."""
         drawn = [] if self._randomized is None else self._randomized.drawn_gains
-        kept = {name: self.controller.named_gains[name] for name in drawn}
+        kept = {name: self.controller.gains_by_name[name] for name in drawn}
         rows = {} if self._allocation is None else self._allocation.rows
         found = {"com": self._com} | below("gains", kept) | below("allocation", rows)
         return found | below("backend", self.backend.state_tensors())

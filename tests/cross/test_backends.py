@@ -342,7 +342,7 @@ def test_gains_of_each_environment_are_read() -> None:
         actions = torch.zeros(8, 4)
         backend.step(state, actions, DT, 1)  # with the middle gains
         mask = torch.ones(8, dtype=torch.bool)
-        for k, rows in enumerate(law.named_gains.values()):
+        for k, rows in enumerate(law.gains_by_name.values()):
             rows *= torch.linspace(0.8, 1.2, 24).roll(5 * k).view(8, 3)
         backend.reset(mask)
         backend.step(state, actions, DT, SUBSTEPS)

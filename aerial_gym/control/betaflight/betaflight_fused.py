@@ -173,7 +173,7 @@ def make_mixer(num_rotors: int, airmode: bool) -> wp.Function:
 def maker(
     own: BetaflightCfg, filters: "BetaflightFilters", timing: Timing, layout: "Layout"
 ) -> Callable[[FusedLaw, int, bool], wp.Function]:
-    """Return what composes the loop for a number of rotors: ``FusedLaw.remembering``."""
+    """Return what composes the loop for a number of rotors: ``FusedLaw.make_stateful_step``."""
 
     def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
         run_loop = make_loop(law, num_rotors, general, own, filters, timing)

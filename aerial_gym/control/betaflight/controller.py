@@ -44,7 +44,7 @@ STICKS = ("thrust (0 is hover) [-]", "roll stick, -1 to 1 [-]", "pitch stick [-]
 class BetaflightController(RememberingController):
     """``betaflight_rate_control``."""
 
-    named_gains: Mapping[str, Tensor] = MappingProxyType({})
+    gains_by_name: Mapping[str, Tensor] = MappingProxyType({})
     """None are drawn: they are Betaflight's parameters, one set for all."""
 
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
@@ -113,7 +113,7 @@ class BetaflightController(RememberingController):
     def fused(self) -> FusedLaw:
         """Return the twin in Warp."""
         return self._fused(
-            remembering=betaflight_fused.maker(self._own, self.filters, self.timing, self._layout),
+            make_stateful_step=betaflight_fused.maker(self._own, self.filters, self.timing, self._layout),
             gains_type=betaflight_fused.BetaflightRows,
             gains=gain_rows(betaflight_fused.BetaflightRows, self.gains),
         )

@@ -90,7 +90,7 @@ def make_turn(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
 
 
 def brescianini_maker(timing: Timing, layout: "Layout", *, gravity: float, max_inclination: float) -> Maker:
-    """Return what composes the controller for a number of rotors: ``FusedLaw.remembering``."""
+    """Return what composes the controller for a number of rotors: ``FusedLaw.make_stateful_step``."""
 
     def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
         wish = make_lean(gravity=gravity, max_inclination=max_inclination)

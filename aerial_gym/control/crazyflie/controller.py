@@ -55,7 +55,7 @@ from aerial_gym.physics.vehicle import Vehicle
 class _Crazyflie(RememberingController):
     """What all have in common: parameters, and a point to fly to."""
 
-    named_gains: Mapping[str, Tensor] = MappingProxyType({})
+    gains_by_name: Mapping[str, Tensor] = MappingProxyType({})
     """None are drawn: they are the Crazyflie's parameters, one set for all."""
 
     own_numbers: int
@@ -130,7 +130,7 @@ class MellingerController(_CrazyflieInCounts):
     def fused(self) -> FusedLaw:
         """Return the twin in Warp."""
         return self._fused(
-            remembering=crazyflie_fused.mellinger_maker(
+            make_stateful_step=crazyflie_fused.mellinger_maker(
                 self.timing,
                 self._layout,
                 self._signs,
@@ -170,7 +170,7 @@ class PidController(_CrazyflieInCounts):
     def fused(self) -> FusedLaw:
         """Return the twin in Warp."""
         return self._fused(
-            remembering=crazyflie_fused.pid_maker(self.timing, self._layout, self._signs),
+            make_stateful_step=crazyflie_fused.pid_maker(self.timing, self._layout, self._signs),
             gains_type=crazyflie_fused.PidRows,
             gains=gain_rows(crazyflie_fused.PidRows, self.gains),
         )
@@ -201,7 +201,7 @@ class CrazyflieLeeController(_Crazyflie):
     def fused(self) -> FusedLaw:
         """Return the twin in Warp."""
         return self._fused(
-            remembering=geometric_fused.geometric_maker(self.timing, self._layout),
+            make_stateful_step=geometric_fused.geometric_maker(self.timing, self._layout),
             gains_type=geometric_fused.IntegralRows,
             gains=geometric_fused.integral_rows(self.gains),
         )
@@ -233,7 +233,7 @@ class BrescianiniController(_Crazyflie):
     def fused(self) -> FusedLaw:
         """Return the twin in Warp."""
         return self._fused(
-            remembering=brescianini_fused.brescianini_maker(
+            make_stateful_step=brescianini_fused.brescianini_maker(
                 self.timing, self._layout, gravity=self._derived.gravity, max_inclination=self._derived.tilt
             ),
             gains_type=brescianini_fused.BrescianiniRows,

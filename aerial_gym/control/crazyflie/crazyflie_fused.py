@@ -122,7 +122,7 @@ def make_motors(num_rotors: int, general: bool, signs: Tensor) -> wp.Function:
 def mellinger_maker(
     timing: Timing, layout: "Layout", signs: Tensor, *, gravity: float, max_inclination: float
 ) -> Maker:
-    """Return what composes ``mellinger.mellinger_control`` for a number of rotors: ``FusedLaw.remembering``."""
+    """Return what composes ``mellinger.mellinger_control`` for a number of rotors: ``FusedLaw.make_stateful_step``."""
     period, slope = float(timing.loop), tan(max_inclination)
 
     def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
@@ -237,7 +237,7 @@ def make_turn(num_rotors: int, general: bool, timing: Timing, signs: Tensor) -> 
 
 
 def pid_maker(timing: Timing, layout: "Layout", signs: Tensor) -> Maker:
-    """Return what composes the cascade for a number of rotors: ``FusedLaw.remembering``."""
+    """Return what composes the cascade for a number of rotors: ``FusedLaw.make_stateful_step``."""
 
     def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
         run_loop = make_turn(num_rotors, general, timing, signs)

@@ -54,7 +54,7 @@ def integral_rows(gains: "IntegralGains") -> Mapping[str, Tensor]:
 
 
 def geometric_maker(timing: Timing, layout: "Layout") -> Maker:
-    """Return what composes the controller for a number of rotors: ``FusedLaw.remembering``."""
+    """Return what composes the controller for a number of rotors: ``FusedLaw.make_stateful_step``."""
     period = float(timing.loop)
 
     def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:

@@ -45,7 +45,7 @@ OUTER_NUMBERS = 9
 class Px4Controller(RememberingController):
     """``px4_rate_control``, ``px4_attitude_control``, ``px4_velocity_control`` and ``px4_position_control``."""
 
-    named_gains: Mapping[str, Tensor] = MappingProxyType({})
+    gains_by_name: Mapping[str, Tensor] = MappingProxyType({})
     """None are drawn: they are PX4's parameters, one set for all."""
 
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
@@ -162,7 +162,7 @@ class Px4Controller(RememberingController):
     def fused(self) -> FusedLaw:
         """Return the twin in Warp."""
         return self._fused(
-            remembering=px4_fused.maker(
+            make_stateful_step=px4_fused.maker(
                 self._law,
                 self.filters,
                 self.timing,

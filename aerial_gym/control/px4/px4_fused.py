@@ -303,7 +303,7 @@ def maker(
     factor: float | None,
     airmode: int | None,
 ) -> Callable[[FusedLaw, int, bool], wp.Function]:
-    """Return what composes the cascade for a number of rotors: ``FusedLaw.remembering``.
+    """Return what composes the cascade for a number of rotors: ``FusedLaw.make_stateful_step``.
 
     Args:
         law_name: Of ``controllers.OF_PX4``.

@@ -84,7 +84,7 @@ class FusedLaw:
     """``wp.func`` (action, gains) -> vector: what ``wrench`` needs of an action, computed once a launch; the action itself if
     not given."""
 
-    remembering: "Callable[[FusedLaw, int, bool], wp.Function] | None" = None
+    make_stateful_step: "Callable[[FusedLaw, int, bool], wp.Function] | None" = None
     """For a law with memory, in place of ``wrench``: from this, the number of rotors and whether they are of any kind to a
     ``wp.func`` (params, gains, position, attitude, lin_vel, ang_vel, action, ``memory.LawArrays``, env, dt) -> commanded
     speeds, vector of R."""

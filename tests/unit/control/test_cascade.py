@@ -364,7 +364,7 @@ def test_without_memory_nothing_is_asked_of_a_backend() -> None:
         law = make_controller(CONTROLLERS.get(name), vehicle, 9.81, dt=DT).fused()
         assert law is not None
         assert law.needs is None
-        assert law.remembering is None
+        assert law.make_stateful_step is None
 
 
 def test_rates_and_delays_that_do_not_fit_are_refused_with_the_nearest() -> None:

@@ -86,7 +86,7 @@ def test_a_law_without_an_integrator_rests_beside_its_setpoint(factor: float) ->
     """``s m (g + k e) = m g`` of thrust that is s times the declared: ``e = g (1 / s - 1) / k`` below the setpoint."""
     rest = loop_of(with_effects(QUAD, thrust_coefficient={"scale": factor})).rest(DT)
     expected = -GRAVITY * (1.0 / factor - 1.0) / position_gain(QUAD)
-    assert rest.found.all()
+    assert rest.converged.all()
     assert rest.offset[0].tolist() == pytest.approx([0.0, 0.0, expected], abs=1e-6)
 
 
@@ -118,7 +118,7 @@ def test_a_velocity_law_drifts() -> None:
 
 def test_an_integrator_brings_the_rest_to_the_setpoint() -> None:
     rest = loop_of(with_effects(QUAD, thrust_coefficient={"scale": 0.9}), "px4_position_control").rest(DT)
-    assert rest.found.all()
+    assert rest.converged.all()
     assert rest.offset[0].tolist() == pytest.approx([0.0, 0.0, 0.0], abs=1e-4)
 
 

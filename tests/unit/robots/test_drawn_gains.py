@@ -33,8 +33,8 @@ def make(randomize: dict[str, RandomizeCfg], backend: str = "warp") -> EnvManage
 def test_gains_over_a_rate_loop_are_drawn(backend: str) -> None:
     """From one start, the larger the gain on the velocity error the faster after 0.1 s."""
     env = make({"gains.velocity": RandomizeCfg(low=0.5, high=1.0)}, backend)
-    gains, factor = env.robot_manager.controller.named_gains["velocity"], env.draws()["gains.velocity"]
-    torch.testing.assert_close(gains, factor * make({}, backend).robot_manager.controller.named_gains["velocity"])
+    gains, factor = env.robot_manager.controller.gains_by_name["velocity"], env.draws()["gains.velocity"]
+    torch.testing.assert_close(gains, factor * make({}, backend).robot_manager.controller.gains_by_name["velocity"])
     for _ in range(10):
         env.step(torch.tensor([[0.5, 0.0, 0.0, 0.0]]).expand(6, 4))
     assert torch.equal(env.gtd["robot_linvel"][:, 0].argsort(), factor[:, 0].argsort())

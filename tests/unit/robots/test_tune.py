@@ -50,6 +50,6 @@ def test_the_printed_control_loads_and_gives_the_gains(capsys: pytest.CaptureFix
     for each in (control, found):
         law = make_controller(CONTROLLERS.get("lee_position_control"), vehicle, 9.81, dt=0.004, control=each)
         assert isinstance(law, LeeController)
-        gains.append(law.named_gains)
+        gains.append(law.gains_by_name)
     for name, rows in gains[0].items():
         torch.testing.assert_close(rows, gains[1][name], rtol=1e-4, atol=0)

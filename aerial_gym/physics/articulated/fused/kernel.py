@@ -105,10 +105,10 @@ def make_jointed_kernel(
     drive_type = vector_type(max(articulation.num_driven, 1))
     prepare = preparation(law.prepare, law.num_actions)
     law_part, drive_part = _make_split(law.num_actions, articulation.num_driven)
-    remembers, law_remembers = bool(model.effects.remembering), law.remembering is not None
+    remembers, law_remembers = bool(model.effects.remembering), law.make_stateful_step is not None
     begin = make_begin(model) if remembers else None
     memories_type = memory_type(effects=remembers, law=law_remembers)
-    remembered_command = law.remembering(law, num_rotors, general) if law.remembering is not None else None
+    remembered_command = law.make_stateful_step(law, num_rotors, general) if law.make_stateful_step is not None else None
     vehicle_type, command_type, gains_type = types.vehicle, types.command, law.gains_type or NoGains
     command_of = make_command(law, num_rotors, general)
     stop = make_dead_band(num_rotors) if general else None

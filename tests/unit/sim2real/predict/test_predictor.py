@@ -550,13 +550,13 @@ def test_an_attitude_that_is_off_within_its_tolerance_is_turned_back(tmp_path: P
     turn = Rotation.from_euler("xyz", [0.0, 0.02, -0.01])  # log to body axes
     aligned, off = turned_log(table, turn, tmp_path)
     left, channels = residual(aligned, ModelParams()), find_channels([aligned])
-    plain, turned_back = residual(off, ModelParams()), residual(off, ModelParams(deviation=two_and_one()))
+    plain, rotate_ring = residual(off, ModelParams()), residual(off, ModelParams(deviation=two_and_one()))
     kinds = [channel.kind for channel in channels]
     kind = "kinematic_force" if accelerometer else "specific_force"
     places = [place for place, name in enumerate(kinds) if name == kind]
     as_seen = left[:, places] if accelerometer else turn.apply(left[:, places], inverse=True)
     assert np.abs(plain[:, places[0]] - as_seen[:, 0]).mean() == pytest.approx(0.02 * 9.81, rel=0.1)
-    np.testing.assert_allclose(turned_back[:, places], as_seen, atol=2e-3)
+    np.testing.assert_allclose(rotate_ring[:, places], as_seen, atol=2e-3)
 
 
 @pytest.mark.parametrize(
