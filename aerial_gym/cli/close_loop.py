@@ -112,7 +112,7 @@ class CloseLoopCmd:
 def _print_verdict(verdict: "Verdict", out: Path) -> None:
     from aerial_gym.sim2real.judge.answer import answer
     from aerial_gym.sim2real.report.tables import SHOWN_NOTES, became_rows, channel_rows, named_rows, rollout_rows
-    from aerial_gym.sim2real.wording import answer_texts, joined, text
+    from aerial_gym.sim2real.wording import answer_texts, join_texts, text
 
     console = Console(markup=False)
     console.print(f"verdict: {verdict.verdict}")
@@ -127,7 +127,7 @@ def _print_verdict(verdict: "Verdict", out: Path) -> None:
     for state, channels in became_rows(verdict).items():
         console.print(f"  {state}: {channels}")
     if verdict.learned is not None:
-        console.print(f"  {joined(verdict.learned.findings)}")
+        console.print(f"  {join_texts(verdict.learned.findings)}")
     for note in shown:
         if note.code != "flight_left_out":
             console.print(f"  note: {text(note)}")

@@ -254,10 +254,10 @@ def _write(out: Path | None, study: "Study", options: dict[str, object], inputs:
 
 
 def _show(study: "Study", out: Path | None, *, as_json: bool) -> int:
-    from aerial_gym.sim2real.wording import rendered, text
+    from aerial_gym.sim2real.wording import render_findings, text
 
     if as_json:
-        print(json_line(rendered(study.mapping), allow_nan=False))
+        print(json_line(render_findings(study.mapping), allow_nan=False))
         return 0
     console = Console(markup=False)
     console.print(f"{study.title}. {study.intro}")

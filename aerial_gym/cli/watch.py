@@ -59,7 +59,7 @@ class WatchCmd:
         from aerial_gym.errors import DataError
         from aerial_gym.sim2real.failures.watch import NAMED, Watch
         from aerial_gym.sim2real.logs.readers.csv_lines import find_header
-        from aerial_gym.sim2real.wording import rendered, text
+        from aerial_gym.sim2real.wording import render_findings, text
 
         numbered, named, interrupted = enumerate(lines, start=1), 0, False
         header = find_header((line for _, line in numbered), "t")
@@ -73,7 +73,7 @@ class WatchCmd:
             for alarm in _alarms(watch, header, numbered, self.log, refuse=not self.follow):
                 named += alarm.stage == NAMED
                 sentence = f"{alarm.stage} at {alarm.told_s:.2f} s: {text(alarm.failure.finding)}"
-                print(json_line(rendered(alarm.as_mapping())) if self.json else sentence, flush=True)
+                print(json_line(render_findings(alarm.as_mapping())) if self.json else sentence, flush=True)
         except KeyboardInterrupt:
             if not self.follow:
                 raise

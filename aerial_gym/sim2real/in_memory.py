@@ -43,7 +43,7 @@ def judge_flights(
         check_rotors(LearnedResidual, robot.rotor_traits)
     flights, off = [*train, *test], tolerances or Tolerances()
     finder = FailureFinder(robot, tolerances=off)
-    seen = [found for flight in flights if (found := finder.first_in(flight)) is not None]
+    seen = [found for flight in flights if (found := finder.find_first(flight)) is not None]
     told = seen if failures else []
     learnt, judging = (_left_of(role, part, told) for role, part in (("train", train), ("test", test)))
     declared = declare(robot, learnt, judging, bandwidth=bandwidth, tolerances=off)

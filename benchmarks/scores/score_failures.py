@@ -24,7 +24,7 @@ from aerial_gym.sim2real.failures.flight_event import Failure as Found
 from aerial_gym.sim2real.failures.flight_event import FailureFinder
 from aerial_gym.sim2real.failures.watch import NAMED, SUSPECTED, Alarm, Watch
 from aerial_gym.sim2real.logs.flights import load_flights
-from aerial_gym.sim2real.wording import rendered
+from aerial_gym.sim2real.wording import render_findings
 from benchmarks.undeclared import EFFECTS, CaseFiles, Failure, make_case
 from benchmarks.undeclared.failures import KINDS
 
@@ -105,7 +105,7 @@ def watched(files: CaseFiles) -> Iterator[tuple[str, list[Alarm], Found | None, 
             told += watch.add(row)
         alarms = [*told, *watch.ended()]
         (flight,) = load_flights([path], robot, mapping=None, bandwidth=10.0)
-        yield path.stem, alarms, finder.first_in(flight), watch.watched_s
+        yield path.stem, alarms, finder.find_first(flight), watch.watched_s
 
 
 def quiet(seed: int, folder: Path, effect: str | None, flights: int, duration_s: float) -> dict[str, object]:
@@ -120,8 +120,8 @@ def quiet(seed: int, folder: Path, effect: str | None, flights: int, duration_s:
         "seed": seed,
         "hidden": effect or "nothing",
         "hours": sum(log_s for *_, log_s in rows) / 3600.0,
-        "watch": [rendered(alarm.as_mapping()) for _, alarms, _, _ in rows for alarm in alarms],
-        "close_loop": [rendered(found.as_mapping()) for _, _, found, _ in rows if found is not None],
+        "watch": [render_findings(alarm.as_mapping()) for _, alarms, _, _ in rows for alarm in alarms],
+        "close_loop": [render_findings(found.as_mapping()) for _, _, found, _ in rows if found is not None],
     }
 
 

@@ -132,7 +132,7 @@ def score(name: str, data: Path) -> dict[str, object]:
     from aerial_gym.sim2real.in_memory import judge_flights
     from aerial_gym.sim2real.logs.inputs import load_train_and_test
     from aerial_gym.sim2real.report.verdict_json import verdict_json
-    from aerial_gym.sim2real.wording import rendered
+    from aerial_gym.sim2real.wording import render_findings
 
     found = SETS[name]
     with tempfile.TemporaryDirectory() as folder, one_thread():
@@ -149,7 +149,7 @@ def score(name: str, data: Path) -> dict[str, object]:
     return {
         "set": name,
         **{key: verdict[key] for key in keys},
-        "refused": rendered(judged.selection.chosen.refused),
+        "refused": render_findings(judged.selection.chosen.refused),
         "processor_s": round(time.process_time() - start, 1),
         "most_memory_gb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 2),
     }

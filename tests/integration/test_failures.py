@@ -39,7 +39,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Failure | None]
     robot = robot_by_name(files.robot)
     finder = FailureFinder(robot)
     flights = load_flights([*files.train, *files.test], robot, mapping=None, bandwidth=10.0)
-    return {flight.name: finder.first_in(flight) for flight in flights}
+    return {flight.name: finder.find_first(flight) for flight in flights}
 
 
 @pytest.mark.parametrize("flight", HIDDEN)

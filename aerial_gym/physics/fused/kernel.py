@@ -69,7 +69,9 @@ def make_kernel(
     begin = make_begin(model) if remembers else None
     law_remembers = law.make_stateful_step is not None
     memories_type = memory_type(effects=remembers, law=law_remembers)
-    remembered_command = law.make_stateful_step(law, num_rotors, general) if law.make_stateful_step is not None else None
+    remembered_command = (
+        law.make_stateful_step(law, num_rotors, general) if law.make_stateful_step is not None else None
+    )
     vehicle_type, command_type, gains_type = types.vehicle, types.command, law.gains_type or NoGains
     step, command_of = (
         make_stepper(model, integrator, upright=model.vehicle.upright and not differentiable),

@@ -99,7 +99,7 @@ class Failure(FlightEvent):
 
 
 def least_log_odds(false_alarm_hours: float) -> float:
-    """Return which sum of odds (``sum_of_odds``) passes for a failure, as a logarithm.
+    """Return the logarithm of the least sum of odds (``sum_of_odds``) that counts as a failure.
 
     Without a failure the sum over onsets of the likelihood ratios grows by one a block on the average, for each has the mean
     one: so the mean number of blocks to a false alarm is at least the limit.
@@ -123,17 +123,19 @@ class FailureFinder:
         self._vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
         self._hover = hover_speed(self._vehicle, STANDARD_GRAVITY)
 
-    def first_in(self, flight: Flight) -> Failure | None:
+    def find_first(self, flight: Flight) -> Failure | None:
         """Return the first failure of a flight, None if there is none: minute by minute, half of each again."""
         works = self.works.of(flight)
         count = max((work.time.size for work in works), default=0)
         for begin in range(0, max(count - WINDOW_BLOCKS // 2, 1), WINDOW_BLOCKS // 2):
-            found = self.shown_by([work.rows(slice(begin, begin + WINDOW_BLOCKS)) for work in works], flight.name)
-            if found is not None:
-                return found
+            failure = self.find_in_blocks(
+                [work.rows(slice(begin, begin + WINDOW_BLOCKS)) for work in works], flight.name
+            )
+            if failure is not None:
+                return failure
         return None
 
-    def shown_by(self, works: Sequence[RotorWork], flight: str) -> Failure | None:
+    def find_in_blocks(self, works: Sequence[RotorWork], flight: str) -> Failure | None:
         """Return the failure that blocks show, None if the sum of the odds stays below the limit."""
         causes = causes_of(works, self._tolerances)
         if not sum_of_odds(causes) > self.limit:
@@ -141,36 +143,36 @@ class FailureFinder:
         ranked = sorted((timed(one) for one in causes if one.log_odds > 0.0), key=lambda one: -one.log_odds)
         odds = np.array([one.log_odds for one in ranked])
         probability = float(1.0 / np.exp(odds - odds[0]).sum())
-        return self._told(ranked[0], flight, probability, ranked[1].cause if len(ranked) > 1 else None)
+        return self._failure(ranked[0], flight, probability, ranked[1].cause if len(ranked) > 1 else None)
 
-    def _told(self, found: Timed, flight: str, probability: float, rival: Cause | None) -> Failure:
+    def _failure(self, event: Timed, flight: str, probability: float, rival: Cause | None) -> Failure:
         """Return the failure in the parameters of its effect."""
-        cause, work = found.cause, found.cause.work
+        cause, work = event.cause, event.cause.work
         params, std, interval = dict[str, float](), dict[str, float](), dict[str, tuple[float, float]]()
         if cause.rotor is not None:
             params["motor"] = float(cause.rotor + 1)
         if cause.kind == "stuck_rotor":
-            values = [self._state(cause, found.change + step * found.std) for step in (0.0, -1.96, 1.96)]
+            values = [self._state(cause, event.change + step * event.std) for step in (0.0, -1.96, 1.96)]
             name = "speed"
         else:
-            off = found.std
+            off = event.std
             if work.quantity == "thrust":  # the change is a share of declared thrust
-                off = hypot(off, found.change * self._tolerances.thrust, found.change * self._tolerances.mass)
-            values = [self._share(cause, 1.0 + found.change + step * off) for step in (0.0, -1.96, 1.96)]
+                off = hypot(off, event.change * self._tolerances.thrust, event.change * self._tolerances.mass)
+            values = [self._share(cause, 1.0 + event.change + step * off) for step in (0.0, -1.96, 1.96)]
             name = "scale"
         params[name], interval[name], std[name] = values[0], (values[1], values[2]), (values[2] - values[1]) / 3.92
         late = 1.96 * work.lag * self._tolerances.time_constant
-        params["time"], interval["time"] = found.time, (found.interval[0] - late, found.interval[1] + late)
+        params["time"], interval["time"] = event.time, (event.interval[0] - late, event.interval[1] + late)
         std["time"] = (interval["time"][1] - interval["time"][0]) / 3.92
-        if found.end is not None:
-            params["duration"] = found.end - found.time
+        if event.end is not None:
+            params["duration"] = event.end - event.time
         return Failure(
             flight=flight,
             name=cause.kind,
             params=params,
             std=std,
             interval=interval,
-            log_odds=found.log_odds,
+            log_odds=event.log_odds,
             probability=probability,
             rival="" if rival is None else rival.name,
             place="" if cause.rotor is None else place_of_rotor(self._robot, cause.rotor + 1),
@@ -198,13 +200,13 @@ class FailureFinder:
 def until_failure(flights: Sequence[Flight], failures: Sequence[Failure]) -> list[Flight]:
     """Return flights up to their failures, those that have too little before them left out."""
     onset = {failure.flight: failure.interval["time"][0] for failure in failures}
-    found = []
+    parts = []
     for flight in flights:
         if flight.name not in onset:
-            found.append(flight)
+            parts.append(flight)
         elif onset[flight.name] >= SHORTEST_S:
-            found.append(part_of(flight, slice(0, int(onset[flight.name] * flight.rate))))
-    return found
+            parts.append(part_of(flight, slice(0, int(onset[flight.name] * flight.rate))))
+    return parts
 
 
 def same_in_all(failures: Sequence[Failure], flights: int) -> Failure | None:

@@ -251,7 +251,7 @@ class Watch:
         return complete_flight(log, on_ground=idle if idle.any() else None)
 
     def _look(self) -> list[Alarm]:
-        found = self._finder.shown_by(self._works, self._name) if self._works else None
+        found = self._finder.find_in_blocks(self._works, self._name) if self._works else None
         if found is None:
             self._suspected = None
             return []

@@ -23,7 +23,7 @@ GAIN_HORIZON_S = 1.0
 class Answer:
     """The four parts."""
 
-    found: tuple[Finding, ...]
+    result: tuple[Finding, ...]
     gain: tuple[Finding, ...]
     open: tuple[Finding, ...]
     """Results that got worse, that remain, or that stay open."""
@@ -33,20 +33,20 @@ class Answer:
     @property
     def parts(self) -> dict[str, tuple[Finding, ...]]:
         """Return the parts by name, in their order."""
-        return {"found": self.found, "gain": self.gain, "open": self.open, "next": self.next}
+        return {"result": self.result, "gain": self.gain, "open": self.open, "next": self.next}
 
 
 def answer(verdict: Verdict) -> Answer:
     """Return the answer of a verdict."""
     return Answer(
-        found=tuple(_found(verdict)),
+        result=tuple(_results(verdict)),
         gain=tuple(_gain(verdict)),
         open=tuple(_open(verdict)),
         next=tuple(_next(verdict)),
     )
 
 
-def findings_of(verdict: Verdict) -> tuple[Finding, ...]:
+def list_findings(verdict: Verdict) -> tuple[Finding, ...]:
     """Return all findings: the answer, its meaning, the notes, and the reasons why effects could not be tested."""
     parts = (finding for part in answer(verdict).parts.values() for finding in part)
     learned = () if verdict.learned is None else verdict.learned.findings
@@ -54,28 +54,30 @@ def findings_of(verdict: Verdict) -> tuple[Finding, ...]:
 
 
 def meaning(verdict: Verdict) -> tuple[Finding, ...]:
-    """Return how far the model can be trusted: harm and help of the correction, and open channels."""
+    """Return the trust in the model: harm and help of the correction, and open channels."""
     kind = verdict.verdict
     if kind == "explained" and not verdict.effects and (verdict.failures or verdict.joint_findings):
         kind = NOT_SHOWN if verdict.not_shown else "none"
     worse, better = (_quantities(verdict.outcomes, state) for state in (WORSE, BETTER))
-    found = [Finding("correction_harms", "", {"errors": worse})] if worse else []
+    findings = [Finding("correction_harms", "", {"errors": worse})] if worse else []
     tied = {effect.name: list(effect.ties) for effect in verdict.effects if effect.ties}
     certain = [effect.name for effect in verdict.effects if not effect.ties]
-    found += [Finding("ties_named", name, {"others": others}) for name, others in tied.items()]
+    findings += [Finding("ties_named", name, {"others": rivals}) for name, rivals in tied.items()]
     if tied and certain:
-        found.append(Finding("certain_beside_ties", "", {"effects": certain}))
+        findings.append(Finding("certain_beside_ties", "", {"effects": certain}))
     if not tied:
-        found.append(Finding(TRUST[kind]))
+        findings.append(Finding(TRUST[kind]))
     if verdict.outcomes:
-        found.append(Finding("correction_helps", "", {"errors": better}) if better else Finding("no_error_falls"))
+        findings.append(Finding("correction_helps", "", {"errors": better}) if better else Finding("no_error_falls"))
     if verdict.not_shown and kind != NOT_SHOWN:
-        found.append(Finding("open_in_channels", "", {"channels": list(verdict.not_shown)}))
+        findings.append(Finding("open_in_channels", "", {"channels": list(verdict.not_shown)}))
     if verdict.joint_findings:
-        found.append(Finding("rigid_vehicle_only"))
+        findings.append(Finding("rigid_vehicle_only"))
     if verdict.failures:
-        found.append(Finding("until_failure_only", "", {"flights": [failure.flight for failure in verdict.failures]}))
-    return tuple(found)
+        findings.append(
+            Finding("until_failure_only", "", {"flights": [failure.flight for failure in verdict.failures]})
+        )
+    return tuple(findings)
 
 
 TRUST = {
@@ -95,7 +97,7 @@ def _quantities(outcomes: Sequence[Outcome], state: str) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def _found(verdict: Verdict) -> Iterator[Finding]:
+def _results(verdict: Verdict) -> Iterator[Finding]:
     named = {effect.name for effect in verdict.effects}
     yield from (failure.finding for failure in verdict.failures if failure.name not in named)
     yield from verdict.joint_findings
@@ -104,7 +106,7 @@ def _found(verdict: Verdict) -> Iterator[Finding]:
     if verdict.effects and not named <= {failure.name for failure in verdict.failures}:
         return
     if verdict.unexplained:
-        yield from (_remaining(verdict, point) for point in verdict.open_points if point.code == "remains_unexplained")
+        yield from (_add_errors(verdict, point) for point in verdict.open_points if point.code == "remains_unexplained")
         yield Finding("effects_none")
     elif any(point.code in ("left_open", "floor_unknown") for point in verdict.open_points):
         yield Finding("effects_none")
@@ -113,7 +115,7 @@ def _found(verdict: Verdict) -> Iterator[Finding]:
         yield Finding("declared_explains", "", until)
 
 
-def _remaining(verdict: Verdict, point: Finding) -> Finding:
+def _add_errors(verdict: Verdict, point: Finding) -> Finding:
     """Return a finding on channels that remain, with their errors and noise floors."""
     rows, after = [], verdict.after
     for place, channel in enumerate(after.channels):
@@ -164,10 +166,10 @@ def _open(verdict: Verdict) -> Iterator[Finding]:
             largest = max(chosen, key=lambda one: one.rise.value)
             more = len({one.quantity for one in chosen}) - 1
             yield Finding(code, largest.name, {**_change(verdict, largest), "more": more})
-    told = {finding.code for finding in _found(verdict)}
+    told = {finding.code for finding in _results(verdict)}
     for point in verdict.open_points:
         if point.code not in told:
-            yield _remaining(verdict, point) if point.code == "remains_unexplained" else point
+            yield _add_errors(verdict, point) if point.code == "remains_unexplained" else point
     structure = verdict.structure
     if structure.kind != "none":
         values = {"channel": structure.channel, "freq_hz": structure.freq_hz, "share": structure.share}

@@ -43,18 +43,18 @@ def decide(
     remains = [Finding("remains_unexplained", "", {"channels": list(unexplained)})] if unexplained else []
     own = [Finding("offsets_of_flights", "", {"channels": list(of_flights)})] if of_flights else []
     open_yet = [Finding("left_open", "", {"channels": list(left_open)})] if left_open else []
-    candidates = tuple(dict.fromkeys((*ties, *(other for others in ties.values() for other in others))))
+    candidates = tuple(dict.fromkeys((*ties, *(rival for rivals in ties.values() for rival in rivals))))
     if any(ties.values()):
-        doubts = [Finding("effect_tied", name, {"others": list(others)}) for name, others in ties.items() if others]
+        doubts = [Finding("effect_tied", name, {"others": list(rivals)}) for name, rivals in ties.items() if rivals]
         return Decision(kind="ambiguous", candidates=candidates, findings=(*doubts, *remains))
     if unexplained and open_to:
-        found = (*remains, Finding("effects_open", "", {"effects": list(open_to)}))
-        return Decision(kind="ambiguous", candidates=tuple(dict.fromkeys((*candidates, *open_to))), findings=found)
+        points = (*remains, Finding("effects_open", "", {"effects": list(open_to)}))
+        return Decision(kind="ambiguous", candidates=tuple(dict.fromkeys((*candidates, *open_to))), findings=points)
     if unexplained:
         return Decision(kind="unexplained", candidates=candidates, findings=tuple(remains))
     if not floor_known:
-        found = (*(own if ties else ()), Finding("floor_unknown"))
-        return Decision(kind="explained" if ties else "none", candidates=candidates, findings=found)
+        points = (*(own if ties else ()), Finding("floor_unknown"))
+        return Decision(kind="explained" if ties else "none", candidates=candidates, findings=points)
     if not ties:
         return Decision(kind=NOT_SHOWN if left_open else "none", candidates=candidates, findings=(*own, *open_yet))
     rest = open_yet or [Finding("remains_near_floor", "", {"offsets": bool(of_flights)})]

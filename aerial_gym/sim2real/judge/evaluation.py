@@ -99,8 +99,9 @@ def missing_for_rollouts(flights: Sequence[Flight]) -> Finding | None:
     if turning:
         return Finding("rollouts_lack_attitude", names_of(turning, flights))
     shortest = min(HORIZONS_S)
-    found = find_windows(flights, shortest).row.size > 0
-    return None if found else Finding("rollouts_too_short", "", {"shortest_s": shortest})
+    if find_windows(flights, shortest).row.size:
+        return None
+    return Finding("rollouts_too_short", "", {"shortest_s": shortest})
 
 
 def rollout_rises(errors: RolloutErrors, reference: RolloutErrors) -> Iterator[tuple[str, float, Rise]]:

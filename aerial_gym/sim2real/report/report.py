@@ -30,7 +30,7 @@ from aerial_gym.sim2real.report.tables import (
     rollout_rows,
     unnamed_rows,
 )
-from aerial_gym.sim2real.wording import answer_texts, joined, text
+from aerial_gym.sim2real.wording import answer_texts, join_texts, text
 
 SHOWN_RIVALS = 3
 """The others are folded away."""
@@ -67,7 +67,7 @@ def render(name: str, context: dict[str, object]) -> str:
         keep_trailing_newline=True,
     )
     environment.filters |= {"num": number, "interval": interval, "percent": percent, "risen": risen}
-    environment.filters |= {"text": text, "joined": joined}
+    environment.filters |= {"text": text, "joined": join_texts}
     return environment.get_template(f"{name}.j2").render(context)
 
 
@@ -78,7 +78,7 @@ def report_context(judged: Judged, told: Mapping[str, list[Clue]], found: Sequen
     return {
         "verdict": verdict,
         "answer": answer_texts(answer(verdict).parts),
-        "meaning": joined(meaning(verdict)),
+        "meaning": join_texts(meaning(verdict)),
         "robot": judged.declared.stated,
         "bandwidth": judged.declared.bandwidth,
         "train": [flight.name for flight in judged.declared.train.flights],

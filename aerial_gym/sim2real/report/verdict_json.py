@@ -1,8 +1,8 @@
 """The contents of ``verdict.json``: the verdict with its findings in words."""
 
-from aerial_gym.sim2real.judge.answer import answer, findings_of, meaning
+from aerial_gym.sim2real.judge.answer import answer, list_findings, meaning
 from aerial_gym.sim2real.judge.verdict import Verdict
-from aerial_gym.sim2real.wording import answer_texts, finding_rows, joined, rendered, text
+from aerial_gym.sim2real.wording import answer_texts, finding_rows, join_texts, render_findings, text
 
 
 def verdict_json(verdict: Verdict) -> dict[str, object]:
@@ -10,10 +10,10 @@ def verdict_json(verdict: Verdict) -> dict[str, object]:
     return {
         "verdict": verdict.verdict,
         "reason": " ".join(answer_texts(answer(verdict).parts)),
-        "meaning": joined(meaning(verdict)),
-        "findings": finding_rows(findings_of(verdict)),
-        **{name: rendered(part) for name, part in verdict.as_mapping().items()},
+        "meaning": join_texts(meaning(verdict)),
+        "findings": finding_rows(list_findings(verdict)),
+        **{name: render_findings(part) for name, part in verdict.as_mapping().items()},
         "not_testable_because": {name: text(reason) for name, reason in verdict.not_testable.items()},
-        "learned_residual": None if verdict.learned is None else joined(verdict.learned.findings),
+        "learned_residual": None if verdict.learned is None else join_texts(verdict.learned.findings),
         "notes": [text(note) for note in verdict.notes],
     }

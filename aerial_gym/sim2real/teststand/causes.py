@@ -174,7 +174,7 @@ def tell_apart(candidates: Sequence[str]) -> list[Finding]:
     payload = [name for name in candidates if name.startswith("payload_mass")]
     found = []
     if payload and len(payload) < len(candidates):
-        found += [Finding("weigh_vehicle"), Finding("measure_thrust")]
+        found.extend((Finding("weigh_vehicle"), Finding("measure_thrust")))
     if weak and len(weak) < len(candidates):
         found.append(Finding("turn_with_gyro"))
     if weak:

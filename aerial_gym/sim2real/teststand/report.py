@@ -11,7 +11,7 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.inputs import file_digests
 from aerial_gym.sim2real.plain import write_json
 from aerial_gym.sim2real.report.run_folder import check_out_dir, whole_folder, write_record
-from aerial_gym.sim2real.wording import rendered, text
+from aerial_gym.sim2real.wording import render_findings, text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -68,7 +68,7 @@ def write_study(out_dir: Path, study: Study, config: dict[str, object], inputs: 
         for name, figure in study.figures.items():
             figure.savefig(folder / f"{name}.png", dpi=90, bbox_inches="tight")
         (folder / "report.md").write_text(study.markdown(), encoding="utf-8", errors="surrogateescape")
-        write_json(folder / "result.json", rendered(study.mapping))
+        write_json(folder / "result.json", render_findings(study.mapping))
         for name, text in study.files.items():
             (folder / name).write_text(text, encoding="utf-8", errors="surrogateescape")
         write_record(folder, config, file_digests(inputs))

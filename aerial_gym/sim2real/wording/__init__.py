@@ -25,26 +25,26 @@ def text(finding: Finding) -> str:
     return f"{finding.subject}: {sentence}" if finding.subject and finding.code in _WITH_SUBJECT else sentence
 
 
-def joined(findings: Iterable[Finding]) -> str:
+def join_texts(findings: Iterable[Finding]) -> str:
     """Return findings in words, one behind the other."""
     return " ".join(map(text, findings))
 
 
 def answer_texts(parts: Mapping[str, Iterable[Finding]]) -> list[str]:
     """Return the parts of an answer in words, without empty ones; the last is marked as the next step."""
-    texts = {name: joined(part) for name, part in parts.items()}
+    texts = {name: join_texts(part) for name, part in parts.items()}
     step = texts["next"]
     texts["next"] = step and f"Next: {step[0].lower()}{step[1:]}"
     return [sentence for sentence in texts.values() if sentence]
 
 
-def rendered(content: Any) -> Any:
+def render_findings(content: Any) -> Any:
     """Return content for JSON with every finding in it in words."""
     if isinstance(content, Finding):
         return text(content)
     if isinstance(content, Mapping):
-        return {name: rendered(part) for name, part in content.items()}
-    return [rendered(part) for part in content] if isinstance(content, list | tuple) else content
+        return {name: render_findings(part) for name, part in content.items()}
+    return [render_findings(part) for part in content] if isinstance(content, list | tuple) else content
 
 
 def finding_rows(findings: Iterable[Finding]) -> list[dict[str, object]]:

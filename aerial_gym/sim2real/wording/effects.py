@@ -1,4 +1,4 @@
-"""Sentences of found effects, with physical names, units, and directions in a pilot's words.
+"""Sentences of params effects, with physical names, units, and directions in a pilot's words.
 
 A direction is named only if its interval holds no zero.
 """
@@ -9,7 +9,7 @@ from math import degrees
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.findings import Finding, unit_key
-from aerial_gym.sim2real.wording.words import decimals, listed, number, percent, rounded, tolerance
+from aerial_gym.sim2real.wording.words import decimals, join_words, number, percent, round_value, tolerance
 
 LEAST_CERTAIN = 0.95
 """An effect of a smaller probability is called probable."""
@@ -33,7 +33,7 @@ class Number:
         """Return whether the interval of the change holds no zero."""
         return self.half_width is None or abs(self.change) > self.half_width
 
-    def scaled(self, factor: float) -> "Number":
+    def scale(self, factor: float) -> "Number":
         """Return it in another unit."""
         half = None if self.half_width is None else abs(factor) * self.half_width
         return Number(factor * self.value, factor * self.declared, half)
@@ -42,21 +42,21 @@ class Number:
 Numbers = dict[str, Number]
 
 
-def numbers_of(finding: Finding) -> Numbers:
-    """Return the parameters of a found effect by name."""
-    found = {}
+def read_numbers(finding: Finding) -> Numbers:
+    """Return the parameters of a params effect by name."""
+    params = {}
     for parameter in EFFECTS.get(finding.subject).parameters:
         values = finding.values.get(f"{parameter.name}_{unit_key(parameter.unit)}")
         if isinstance(values, dict):
             declared = values["value"] if values["declared"] is None else values["declared"]
-            found[parameter.name] = Number(values["value"], declared, values["half_width"])
-    return found
+            params[parameter.name] = Number(values["value"], declared, values["half_width"])
+    return params
 
 
-def effect_found(finding: Finding) -> str:
-    """Return the sentence of a found effect; less certain ones are called probable, tied ones are conditional."""
+def effect_sentence(finding: Finding) -> str:
+    """Return the sentence of a params effect; less certain ones are called probable, tied ones are conditional."""
     template = EFFECT_TEMPLATES.get(finding.subject, _by_parameters)
-    sentence, ties = template(finding, numbers_of(finding)), finding.values["ties"]
+    sentence, ties = template(finding, read_numbers(finding)), finding.values["ties"]
     probability = float(finding.values["probability"])
     if ties:
         return f"If it is {finding.subject}, {_lower(sentence)}"
@@ -79,181 +79,183 @@ def _shift(numbers: Sequence[tuple[Number, str, str]], unit: str, start: str, un
     if not certain:
         return f"{unsure}, {tolerance(width, unit)}."
     space = "" if unit == "°" else " "
-    parts = [f"{rounded(abs(one.change), width)}{space}{unit} {word}" for one, word in certain]
-    return f"{start.format(listed(parts))}, {tolerance(width, unit)}."
+    parts = [f"{round_value(abs(one.change), width)}{space}{unit} {word}" for one, word in certain]
+    return f"{start.format(join_words(parts))}, {tolerance(width, unit)}."
 
 
-def _com_offset(_: Finding, found: Numbers) -> str:
+def _com_offset(_: Finding, params: Numbers) -> str:
     words = {"x": ("ahead of", "behind"), "y": ("to the left of", "to the right of"), "z": ("above", "below")}
-    axes = [(one.scaled(1e3), *words[axis]) for axis, one in found.items()]
+    axes = [(one.scale(1e3), *words[axis]) for axis, one in params.items()]
     unsure = "The centre of mass is shifted from the declared one, but its direction is not certain"
     return _shift(axes, "mm", "The centre of mass lies {} the declared one", unsure)
 
 
 def _ratio(one: Number, start: str, more: str, less: str, end: str = "than declared") -> str:
-    change = Number(one.value / one.declared - 1.0, 0.0, one.half_width and one.half_width / one.declared).scaled(1e2)
+    change = Number(one.value / one.declared - 1.0, 0.0, one.half_width and one.half_width / one.declared).scale(1e2)
     word = more if change.value > 0.0 else less
-    size = rounded(abs(change.value), change.half_width)
+    size = round_value(abs(change.value), change.half_width)
     return f"{start} {size} % {word} {end}, {tolerance(change.half_width, '%')}."
 
 
-def _rotor(finding: Finding, found: Numbers) -> str:
+def _rotor(finding: Finding, params: Numbers) -> str:
     place = finding.values.get("place")
-    return f"otor {found['motor'].value:.0f}" + (f" ({place})" if place else "")
+    return f"otor {params['motor'].value:.0f}" + (f" ({place})" if place else "")
 
 
-def _thrust_coefficient(_: Finding, found: Numbers) -> str:
-    return _ratio(found["scale"], "All rotors give", "more thrust", "less thrust")
+def _thrust_coefficient(_: Finding, params: Numbers) -> str:
+    return _ratio(params["scale"], "All rotors give", "more thrust", "less thrust")
 
 
-def _weak_motor(finding: Finding, found: Numbers) -> str:
-    return _ratio(found["scale"], f"R{_rotor(finding, found)} gives", "more thrust", "less thrust")
+def _weak_motor(finding: Finding, params: Numbers) -> str:
+    return _ratio(params["scale"], f"R{_rotor(finding, params)} gives", "more thrust", "less thrust")
 
 
-def _torque_ratio(_: Finding, found: Numbers) -> str:
-    return _ratio(found["scale"], "The drag torque of the rotors is", "higher", "lower")
+def _torque_ratio(_: Finding, params: Numbers) -> str:
+    return _ratio(params["scale"], "The drag torque of the rotors is", "higher", "lower")
 
 
-def _rotor_speed_scale(_: Finding, found: Numbers) -> str:
-    return _ratio(found["scale"], "The logged rotor speeds read", "too high", "too low", "against the true ones")
+def _rotor_speed_scale(_: Finding, params: Numbers) -> str:
+    return _ratio(params["scale"], "The logged rotor speeds read", "too high", "too low", "against the true ones")
 
 
-def _payload_mass(_: Finding, found: Numbers) -> str:
-    one = found["dm"].scaled(1e3)
+def _payload_mass(_: Finding, params: Numbers) -> str:
+    one = params["dm"].scale(1e3)
     word = "heavier" if one.change > 0.0 else "lighter"
-    size = rounded(abs(one.change), one.half_width)
+    size = round_value(abs(one.change), one.half_width)
     return f"The vehicle is {size} g {word} than declared, {tolerance(one.half_width, 'g')}."
 
 
-def _motor_time_constant(_: Finding, found: Numbers) -> str:
-    tau = found["tau"].scaled(1e3)
-    declared = rounded(tau.declared, tau.half_width)
+def _motor_time_constant(_: Finding, params: Numbers) -> str:
+    tau = params["tau"].scale(1e3)
+    declared = round_value(tau.declared, tau.half_width)
     return f"The rotors lag with a time constant of {_plus(tau, 'ms')}; {declared} ms is declared."
 
 
 def _plus(one: Number, unit: str) -> str:
     """Return ``value unit ± half width``."""
     width = "" if one.half_width is None or decimals(one.half_width) is None else f" {tolerance(one.half_width, '')}"
-    return f"{rounded(one.value, one.half_width)}{width} {unit}".replace(" °", "°")
+    return f"{round_value(one.value, one.half_width)}{width} {unit}".replace(" °", "°")
 
 
-def _motor_asymmetry(_: Finding, found: Numbers) -> str:
+def _motor_asymmetry(_: Finding, params: Numbers) -> str:
     ways = {"tau_up": "rises", "tau_down": "falls"}
-    parts = [f"{way} with {_plus(found[name].scaled(1e3), 'ms')}" for name, way in ways.items() if name in found]
-    return f"Rotor speed {listed(parts)} of time constant."
+    parts = [f"{way} with {_plus(params[name].scale(1e3), 'ms')}" for name, way in ways.items() if name in params]
+    return f"Rotor speed {join_words(parts)} of time constant."
 
 
-def _actuation_delay(_: Finding, found: Numbers) -> str:
-    delay = found["delay"].scaled(1e3)
-    return f"Commands act with a dead time of {_plus(delay, 'ms')}{_declared(delay, 'ms')}."
+def _actuation_delay(_: Finding, params: Numbers) -> str:
+    delay = params["delay"].scale(1e3)
+    return f"Commands act with a dead time of {_plus(delay, 'ms')}{_declaration(delay, 'ms')}."
 
 
-def _declared(one: Number, unit: str) -> str:
+def _declaration(one: Number, unit: str) -> str:
     return f"; {number(one.declared)} {unit} is declared" if one.declared else ""
 
 
-def _battery_sag(_: Finding, found: Numbers) -> str:
-    return f"Rotor speed falls by {_plus(found['gain'].scaled(10.0), '%')} for 10 % less battery voltage."
+def _battery_sag(_: Finding, params: Numbers) -> str:
+    return f"Rotor speed falls by {_plus(params['gain'].scale(10.0), '%')} for 10 % less battery voltage."
 
 
-def _rotor_inertia(_: Finding, found: Numbers) -> str:
-    one = found["jr"].scaled(1e6)
-    return f"Each rotor has an inertia of {_plus(one, 'mg m²')} about its axis{_declared(one, 'mg m²')}."
+def _rotor_inertia(_: Finding, params: Numbers) -> str:
+    one = params["jr"].scale(1e6)
+    return f"Each rotor has an inertia of {_plus(one, 'mg m²')} about its axis{_declaration(one, 'mg m²')}."
 
 
-def _motor_tilt(finding: Finding, found: Numbers) -> str:
+def _motor_tilt(finding: Finding, params: Numbers) -> str:
     words = {"roll": ("to the right", "to the left"), "pitch": ("forward", "backward")}
-    axes = [(found[name].scaled(degrees(1.0)), *words[name]) for name in words if name in found]
-    rotor = _rotor(finding, found)
+    axes = [(params[name].scale(degrees(1.0)), *words[name]) for name in words if name in params]
+    rotor = _rotor(finding, params)
     unsure = f"The axis of r{rotor} is tilted, but its direction is not certain"
     return _shift(axes, "°", f"The axis of r{rotor} is tilted {{}}", unsure)
 
 
-def _arms(found: Numbers, verb: str) -> str:
-    bend = found["compliance"].scaled(degrees(1.0))
-    after = f" within {_plus(found['tau'], 's')}" if "tau" in found else ""
+def _arms(params: Numbers, verb: str) -> str:
+    bend = params["compliance"].scale(degrees(1.0))
+    after = f" within {_plus(params['tau'], 's')}" if "tau" in params else ""
     return f"The arms {verb} by {_plus(bend, '°')} per N m of load{after}."
 
 
-def _joint_spring(_: Finding, found: Numbers) -> str:
-    return _arms(found, "bend elastically")
+def _joint_spring(_: Finding, params: Numbers) -> str:
+    return _arms(params, "bend elastically")
 
 
-def _joint_creep(_: Finding, found: Numbers) -> str:
-    return _arms(found, "creep")
+def _joint_creep(_: Finding, params: Numbers) -> str:
+    return _arms(params, "creep")
 
 
-def _slung_payload(_: Finding, found: Numbers) -> str:
-    mass = _plus(found["mass"].scaled(1e3), "g") if "mass" in found else "unknown mass"
-    length = f" at {_plus(found['length'], 'm')} below the body origin" if "length" in found else ""
+def _slung_payload(_: Finding, params: Numbers) -> str:
+    mass = _plus(params["mass"].scale(1e3), "g") if "mass" in params else "unknown mass"
+    length = f" at {_plus(params['length'], 'm')} below the body origin" if "length" in params else ""
     return f"A payload of {mass} swings on a cable{length}."
 
 
-def _inertia_error(_: Finding, found: Numbers) -> str:
+def _inertia_error(_: Finding, params: Numbers) -> str:
     words = {"sx": "in roll", "sy": "in pitch", "sz": "in yaw"}
     axes = [
-        (one.scaled(1e2 / one.declared), f"higher {words[axis]}", f"lower {words[axis]}") for axis, one in found.items()
+        (one.scale(1e2 / one.declared), f"higher {words[axis]}", f"lower {words[axis]}") for axis, one in params.items()
     ]
     unsure = "The moments of inertia differ from the declared ones, but no axis for certain"
     return _shift(axes, "%", "The moment of inertia is {} than declared", unsure)
 
 
-def _along_world(found: Numbers) -> list[tuple[Number, str, str]]:
-    return [(found[axis], f"towards world +{axis}", f"towards world -{axis}") for axis in "xyz" if axis in found]
+def _along_world(params: Numbers) -> list[tuple[Number, str, str]]:
+    return [(params[axis], f"towards world +{axis}", f"towards world -{axis}") for axis in "xyz" if axis in params]
 
 
-def _constant_wind(_: Finding, found: Numbers) -> str:
-    return _shift(_along_world(found), "m/s", "A steady wind blows {}", "A steady wind of unknown direction blows")
+def _constant_wind(_: Finding, params: Numbers) -> str:
+    return _shift(_along_world(params), "m/s", "A steady wind blows {}", "A steady wind of unknown direction blows")
 
 
-def _wind_shear(_: Finding, found: Numbers) -> str:
-    height = f" at a height of {number(found['z_ref'].value)} m" if "z_ref" in found else ""
+def _wind_shear(_: Finding, params: Numbers) -> str:
+    height = f" at a height of {number(params['z_ref'].value)} m" if "z_ref" in params else ""
     start = f"A wind that grows with height blows {{}}{height}"
-    return _shift(_along_world(found), "m/s", start, "A wind of unknown direction grows with height")
+    return _shift(_along_world(params), "m/s", start, "A wind of unknown direction grows with height")
 
 
-def _gusts(_: Finding, found: Numbers) -> str:
-    std, time = _plus(found["std"], "m/s"), _plus(found["corr_time"], "s")
+def _gusts(_: Finding, params: Numbers) -> str:
+    std, time = _plus(params["std"], "m/s"), _plus(params["corr_time"], "s")
     return f"The wind gusts by {std} along each axis (standard deviation), with a correlation time of {time}."
 
 
-def _ground_effect(_: Finding, found: Numbers) -> str:
-    return f"Ground effect acts with a strength of {_plus(found['k'], '')} (1: one rotor by itself).".replace("  ", " ")
-
-
-def _ceiling_effect(_: Finding, found: Numbers) -> str:
-    return f"Ceiling effect acts with a strength of {_plus(found['k'], '')} (1: one rotor by itself).".replace(
+def _ground_effect(_: Finding, params: Numbers) -> str:
+    return f"Ground effect acts with a strength of {_plus(params['k'], '')} (1: one rotor by itself).".replace(
         "  ", " "
     )
 
 
-def _downwash(_: Finding, found: Numbers) -> str:
-    width = f" over a width of {_plus(found['sigma'], 'm')}" if "sigma" in found else ""
-    return f"The wake of the other vehicle pushes down with up to {_plus(found['force'], 'N')}{width}."
+def _ceiling_effect(_: Finding, params: Numbers) -> str:
+    return f"Ceiling effect acts with a strength of {_plus(params['k'], '')} (1: one rotor by itself).".replace(
+        "  ", " "
+    )
 
 
-def _imu_bias(_: Finding, found: Numbers) -> str:
+def _downwash(_: Finding, params: Numbers) -> str:
+    width = f" over a width of {_plus(params['sigma'], 'm')}" if "sigma" in params else ""
+    return f"The wake of the other vehicle pushes down with up to {_plus(params['force'], 'N')}{width}."
+
+
+def _imu_bias(_: Finding, params: Numbers) -> str:
     parts = []
     for sensor, key, unit in (("accelerometer", "a", "m/s²"), ("gyro", "g", "rad/s")):
         for axis in "xyz":
-            if (one := found.get(f"{key}{axis}")) is not None and one.certain:
+            if (one := params.get(f"{key}{axis}")) is not None and one.certain:
                 word = "too high" if one.value > 0.0 else "too low"
-                size = f"{rounded(abs(one.value), one.half_width)} {tolerance(one.half_width, '')} {unit}"
+                size = f"{round_value(abs(one.value), one.half_width)} {tolerance(one.half_width, '')} {unit}"
                 parts.append(f"{sensor} {axis} reads {size} {word}")
-    return f"{_upper(listed(parts))}." if parts else "The inertial sensors have a bias, but on no axis for certain."
+    return f"{_upper(join_words(parts))}." if parts else "The inertial sensors have a bias, but on no axis for certain."
 
 
 def _upper(sentence: str) -> str:
     return sentence[0].upper() + sentence[1:]
 
 
-def _imu_misalignment(_: Finding, found: Numbers) -> str:
+def _imu_misalignment(_: Finding, params: Numbers) -> str:
     words = {
         "roll": ("rolled right", "rolled left"),
         "pitch": ("pitched nose down", "pitched nose up"),
         "yaw": ("yawed left", "yawed right"),
     }
-    axes = [(one.scaled(degrees(1.0)), *words[name]) for name, one in found.items()]
+    axes = [(one.scale(degrees(1.0)), *words[name]) for name, one in params.items()]
     unsure = "The inertial sensors are turned against the body, but about no axis for certain"
     return _shift(axes, "°", "The inertial sensors are mounted {}", unsure)
 
@@ -263,42 +265,44 @@ def _coefficients(
 ) -> Callable[[Finding, Numbers], str]:
     """Return a template that lists coefficients with their half widths, and the declared ones unless zero."""
 
-    def sentence(_: Finding, found: Numbers) -> str:
-        shown = {name: found[name].scaled(factor) for name in labels if name in found}
-        parts = [f"{rounded(one.value, one.half_width)} {unit} {labels[name]}".strip() for name, one in shown.items()]
+    def sentence(_: Finding, params: Numbers) -> str:
+        shown = {name: params[name].scale(factor) for name in labels if name in params}
+        parts = [
+            f"{round_value(one.value, one.half_width)} {unit} {labels[name]}".strip() for name, one in shown.items()
+        ]
         width, old = _widest(list(shown.values())), any(one.declared for one in shown.values())
-        declared = f"; declared: {listed([number(one.declared) for one in shown.values()])}" if old else ""
-        return f"{start} {listed(parts)}, {tolerance(width, unit)}{declared}.".replace("  ", " ")
+        declared = f"; declared: {join_words([number(one.declared) for one in shown.values()])}" if old else ""
+        return f"{start} {join_words(parts)}, {tolerance(width, unit)}{declared}.".replace("  ", " ")
 
     return sentence
 
 
-def _h_force_flapping(_: Finding, found: Numbers) -> str:
+def _h_force_flapping(_: Finding, params: Numbers) -> str:
     units = {"kh": ("drag coefficient", "µN s²/(m rad)"), "kf": ("moment coefficient", "µN s²/rad")}
     parts = [
-        f"a {word} of {_plus(found[name].scaled(1e6), unit)}" for name, (word, unit) in units.items() if name in found
+        f"a {word} of {_plus(params[name].scale(1e6), unit)}" for name, (word, unit) in units.items() if name in params
     ]
-    return f"In sideways flight, rotors have {listed(parts)}."
+    return f"In sideways flight, rotors have {join_words(parts)}."
 
 
 AXES = {"dx": "forward", "dy": "sideways", "dz": "vertically"}
 
 
-def _by_parameters(finding: Finding, found: Numbers) -> str:
+def _by_parameters(finding: Finding, params: Numbers) -> str:
     """Return an effect without a template of its own, such as one of a user."""
     units = {p.name: "" if p.unit == "-" else p.unit for p in EFFECTS.get(finding.subject).parameters}
-    parts = [f"{name} = {_plus(one, units[name])}".rstrip() for name, one in found.items()]
+    parts = [f"{name} = {_plus(one, units[name])}".rstrip() for name, one in params.items()]
     return f"The flights show {finding.subject}: {', '.join(parts)}."
 
 
-def _failed(verb: str, of: str) -> Callable[[Finding, Numbers], str]:
-    def sentence(finding: Finding, found: Numbers) -> str:
-        who = f"r{_rotor(finding, found)}" if "motor" in found else "all rotors"
-        share = f" {_plus(found['scale'].scaled(1e2), '%')}" if "scale" in found else ""
-        ends = "duration" in found and found["duration"].value < 1e4
-        span = f" for {found['duration'].value:.3g} s" if ends else " on"
-        when = f" from {found['time'].value:.2f} s{span}" if "time" in found else ""
-        return f"In every flight, {who} {verb}{share} {of}{when}."
+def _failure(verb: str, of: str) -> Callable[[Finding, Numbers], str]:
+    def sentence(finding: Finding, params: Numbers) -> str:
+        rotors = f"r{_rotor(finding, params)}" if "motor" in params else "all rotors"
+        share = f" {_plus(params['scale'].scale(1e2), '%')}" if "scale" in params else ""
+        ends = "duration" in params and params["duration"].value < 1e4
+        span = f" for {params['duration'].value:.3g} s" if ends else " on"
+        when = f" from {params['time'].value:.2f} s{span}" if "time" in params else ""
+        return f"In every flight, {rotors} {verb}{share} {of}{when}."
 
     return sentence
 
@@ -314,9 +318,9 @@ EFFECT_TEMPLATES: dict[str, Callable[[Finding, Numbers], str]] = {
     "torque_ratio": _torque_ratio,
     "motor_time_constant": _motor_time_constant,
     "motor_asymmetry": _motor_asymmetry,
-    "motor_failure": _failed("follows", "of its commands"),
-    "stuck_rotor": _failed("keeps", "its speed"),
-    "brown_out": _failed("follow", "of their commands"),
+    "motor_failure": _failure("follows", "of its commands"),
+    "stuck_rotor": _failure("keeps", "its speed"),
+    "brown_out": _failure("follow", "of their commands"),
     "actuation_delay": _actuation_delay,
     "battery_sag": _battery_sag,
     "rotor_inertia": _rotor_inertia,

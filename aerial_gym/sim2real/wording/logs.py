@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.wording.words import listed, number, percent, rounded
+from aerial_gym.sim2real.wording.words import join_words, number, percent, round_value
 
 
 def _places(items: Sequence[object], count: int, word: str = "line") -> str:
@@ -59,7 +59,8 @@ def _vector(values: Sequence[float], half_widths: Sequence[float | None]) -> str
     """Return numbers with half widths; an axis without one is not shown."""
     pairs = zip(values, half_widths, strict=True)
     parts = (
-        "not shown" if half is None else f"{rounded(value, half)} ± {rounded(half, half)}" for value, half in pairs
+        "not shown" if half is None else f"{round_value(value, half)} ± {round_value(half, half)}"
+        for value, half in pairs
     )
     return ", ".join(parts)
 
@@ -71,7 +72,7 @@ def _bias(finding: Finding) -> str:
     return f"The {values['sensor']} has a bias of ({size}) {unit} by kinematics, which is left as logged."
 
 
-def _turned(finding: Finding) -> str:
+def _misalignment(finding: Finding) -> str:
     values = finding.values
     size = _vector(values["angle_deg"], values["half_width_deg"])
     return f"The {values['sensor']} is turned against the body by ({size})° by kinematics, which is left as logged."
@@ -91,7 +92,7 @@ def _factor(finding: Finding) -> str:
     values = finding.values
     rows = zip(values["axes"], values["factor"], values["low"], values["high"], strict=True)
     parts = [f"{axis} {factor:.3f} ({low:.3f} to {high:.3f})" for axis, factor, low, high in rows]
-    return f"Velocity over the derivative of position is {listed(parts)}; it is left as logged."
+    return f"Velocity over the derivative of position is {join_words(parts)}; it is left as logged."
 
 
 def _jump(finding: Finding) -> str:
@@ -120,7 +121,7 @@ LOGS = {
         f"The position jumps more than {f.values['most']} times against the velocity (position_jump); it is left as logged."
     ),
     "sensor_bias": _bias,
-    "sensor_turned": _turned,
+    "sensor_turned": _misalignment,
     "sensor_late": _late,
     "velocity_factor": _factor,
     "sensor_dropout": lambda f: f"{f.values['sensor']} repeats one value from {f.values['time_s']:.3f} s on.",

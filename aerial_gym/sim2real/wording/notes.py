@@ -5,21 +5,21 @@ from collections.abc import Mapping, Sequence
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.predict.scene import NEEDED
-from aerial_gym.sim2real.wording.answer import failure_found
+from aerial_gym.sim2real.wording.answer import failure_sentence
 from aerial_gym.sim2real.wording.words import (
     error_words,
     errors,
-    listed,
+    join_words,
     names,
     number,
     percent,
+    quantity_unit,
+    quantity_value,
     rise_interval,
-    unit_of,
-    valued,
 )
 
 
-def _needed(finding: Finding) -> str:
+def _excitation(finding: Finding) -> str:
     return f"Needed: {EFFECTS.get(finding.subject).excitation}."
 
 
@@ -56,7 +56,7 @@ WAYS_OUT = {
 """By the start of a tolerance's name; any other is declared anew."""
 
 
-def _strained(finding: Finding) -> str:
+def _strain(finding: Finding) -> str:
     name, size = finding.subject, float(finding.values["deviation_std"])
     start = f"The flights ask for {name} to be off by {size:+.1f} standard deviations of its tolerance."
     if name.startswith("rotor_motion"):
@@ -67,34 +67,34 @@ def _strained(finding: Finding) -> str:
     return f"{start} {f'{way}, or give' if way else 'Give'} its real tolerance (--tolerances)."
 
 
-def _strained_changes(finding: Finding) -> str:
+def _strain_changes(finding: Finding) -> str:
     rows: Sequence[Mapping[str, float]] = finding.values["errors"]
     parts = []
     for row in rows:
-        unit = unit_of(str(row["channel"]))
-        new, old = (number(valued(row, when, unit), 2) for when in ("with", "without"))
+        unit = quantity_unit(str(row["channel"]))
+        new, old = (number(quantity_value(row, when, unit), 2) for when in ("with", "without"))
         parts.append(f"the {error_words(str(row['channel']))} is {new} instead of {old} {unit}")
-    return f"With these deviations, {listed(parts[:3])}."
+    return f"With these deviations, {join_words(parts[:3])}."
 
 
 def _offsets(finding: Finding) -> str:
     rows: Sequence[Mapping[str, float]] = finding.values["offsets"]
     parts = []
     for row in rows:
-        unit = unit_of(str(row["channel"]))
-        parts.append(f"{row['channel']} {number(valued(row, 'rms', unit), 2)} {unit}")
+        unit = quantity_unit(str(row["channel"]))
+        parts.append(f"{row['channel']} {number(quantity_value(row, 'rms', unit), 2)} {unit}")
     return (
-        f"Each flight has its own offset: {listed(parts)} (rms). "
+        f"Each flight has its own offset: {join_words(parts)} (rms). "
         "A warming sensor or a new battery does that; it is no property of the vehicle."
     )
 
 
-def _learned_share(finding: Finding) -> str:
+def _residual_share(finding: Finding) -> str:
     shares: Mapping[str, float] = finding.values["shares"]
     if not shares:
         return "The named effects leave no gap above the noise floor."
     parts = [f"{percent(share) if share >= 0.0 else '-' + percent(share)} of {name}" for name, share in shares.items()]
-    return f"Of the gap above the noise floor on unseen flights it closes {listed(parts)}."
+    return f"Of the gap above the noise floor on unseen flights it closes {join_words(parts)}."
 
 
 PROCESSES = {
@@ -115,8 +115,8 @@ def _process(finding: Finding) -> str:
 
 def _objections(finding: Finding) -> str:
     """Return the objections of a refusal, whose codes are those of notes."""
-    found = [Finding(row["code"], row["subject"], row["values"]) for row in finding.values["objections"]]
-    return " ".join(template if isinstance(template := NOTES[one.code], str) else template(one) for one in found)
+    objections = [Finding(row["code"], row["subject"], row["values"]) for row in finding.values["objections"]]
+    return " ".join(template if isinstance(template := NOTES[one.code], str) else template(one) for one in objections)
 
 
 def _joints_felt(finding: Finding) -> str:
@@ -144,12 +144,12 @@ NOTES = {
         f"{f.subject} is not named: it only replaces a residual that follows the {f.values['structure']}."
     ),
     "offsets_sizes": _offsets,
-    "tolerance_strained": _strained,
+    "tolerance_strained": _strain,
     "tolerances_cut_off": lambda f: (
         f"{names(f.values['tolerances'])}: cut off at {f.values['deviation_std']:g} standard deviations, so not measured. "
         "An effect is missing, or input noise looks like it."
     ),
-    "strained_changes": _strained_changes,
+    "strained_changes": _strain_changes,
     "strained_changes_little": "These deviations change the errors of the test flights hardly at all.",
     "band_limited": lambda f: (
         f"Compared below {number(f.values['band_hz'])} Hz: the slowest log has {number(f.values['slowest_hz'], 4)} "
@@ -163,7 +163,7 @@ NOTES = {
         "Bending shows as a residual (docs/joints.md)."
     ),
     "failure_suspected": lambda f: (
-        f"A failure is suspected (log odds {f.values['log_odds']:.1f}), and nothing was made of it. {failure_found(f)} "
+        f"A failure is suspected (log odds {f.values['log_odds']:.1f}), and nothing was made of it. {failure_sentence(f)} "
         f"--failures compares {f.subject} up to its onset; a wrongly declared vehicle can look the same."
     ),
     "train_with_failure": lambda f: (
@@ -185,7 +185,7 @@ NOTES = {
         f"learned_residual was added on request; it explains nothing. {f.values['rows_outside']} of {f.values['rows']} "
         "test rows lie outside its training data, where it fades."
     ),
-    "learned_share": _learned_share,
+    "learned_share": _residual_share,
     "learned_refused": lambda f: f"learned_residual was requested, but not added. {_objections(f)}",
     "gain_by_chance": lambda f: f"Its gain on flights left out may be chance (p = {number(f.values['p_value'], 2)}).",
     "few_flights_better": lambda f: f"It predicts only {percent(f.values['share'])} of the flights left out better.",
@@ -213,12 +213,14 @@ NOTES = {
 """Notes of a verdict."""
 
 REASONS = {
-    "not_excited": lambda f: f"These flights do not show it. {_needed(f)}",
+    "not_excited": lambda f: f"These flights do not show it. {_excitation(f)}",
     "no_soft_arms": "Its file gives the vehicle no soft arms, and these flights show none.",
     "acts_on_links": "It acts on moving links, and the vehicle is taken as rigid here.",
     "no_such_effect": lambda f: f"It looks like {f.values['alike']}, but no effect of this name is registered.",
     "logs_lack": lambda f: f"{f.values['flights']} without {NEEDED[f.values['need']]}.",
-    "voltage_too_steady": lambda f: f"The battery voltage varies by only {percent(f.values['share'])}. {_needed(f)}",
+    "voltage_too_steady": lambda f: (
+        f"The battery voltage varies by only {percent(f.values['share'])}. {_excitation(f)}"
+    ),
     "commands_too_coarse": lambda f: (
         f"Commands are logged every {number(f.values['row_ms'])} ms, but the rotors follow within {number(f.values['lag_ms'])} "
         "ms. Log commands faster."
@@ -242,6 +244,6 @@ REASONS = {
     "follows_structure": lambda f: f"It only replaces a residual that follows the {f.values['structure']}.",
     "gusts_no_floor": "The logs are too slow to show a noise floor, above which gusts would stand.",
     "gusts_no_forces": "It needs specific force and velocity in the logs.",
-    "gusts_no_drag": lambda f: f"This model has no drag along some axis. {_needed(f)}",
+    "gusts_no_drag": lambda f: f"This model has no drag along some axis. {_excitation(f)}",
 }
 """Reasons why an effect could not be tested or is not named."""

@@ -1,20 +1,20 @@
 """Sentences of notes on the test stand, and of the experiments that tell candidates apart."""
 
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.wording.words import number, valued
+from aerial_gym.sim2real.wording.words import number, quantity_value
 
 
 def _curvature(finding: Finding) -> str:
     values = finding.values
     unit = "N" if "cubic_n" in values else "N m"
-    cubic, chosen = (number(valued(values, name, unit)) for name in ("cubic", "chosen"))
+    cubic, chosen = (number(quantity_value(values, name, unit)) for name in ("cubic", "chosen"))
     return (
         f"The {values['quantity']} residual keeps a curvature that a cubic removes (held-out error {cubic} instead of {chosen} "
         f"{unit}). A robot file holds no cubic."
     )
 
 
-def _published(finding: Finding) -> str:
+def _publication(finding: Finding) -> str:
     values = ", ".join(f"{name} {number(value, 6)}" for name, value in finding.values.items())
     return f"The published law has {values}, released at 0 s."
 
@@ -69,7 +69,7 @@ TESTSTAND = {
         "Masses of links are taken as declared. A scale of all thrusts and constant sensor errors are fitted too."
     ),
     "intervals_of_flights": "Intervals hold the scatter within these flights, but no error of the declaration.",
-    "published_law": _published,
+    "published_law": _publication,
     "one_record": "This is one record of one joint: its intervals hold for this record only.",
 }
 """By code; a text without values is the sentence itself."""

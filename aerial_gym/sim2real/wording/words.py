@@ -48,13 +48,13 @@ def errors(quantities: Iterable[str]) -> str:
     return names(map(error_words, quantities))
 
 
-def unit_of(quantity: str) -> str:
+def quantity_unit(quantity: str) -> str:
     """Return the unit of a channel or of a quantity of a rollout."""
     kind, _, rest = quantity.partition(".")
     return UNITS[kind] if kind in UNITS else QUANTITIES[rest.partition(".")[0]]
 
 
-def valued(values: Values, name: str, unit: str) -> Any:
+def quantity_value(values: Values, name: str, unit: str) -> Any:
     """Return the number of a key that ends in its unit; None where it is not known."""
     return values[f"{name}_{unit_key(unit)}"]
 
@@ -63,10 +63,10 @@ def names(items: Iterable[str]) -> str:
     """Return a list of names; of long ones the first and the number of the others."""
     all_of = [str(item) for item in items]
     more = len(all_of) - MOST_LISTED
-    return listed([*all_of[:MOST_LISTED], f"{more} more"] if more > 0 else all_of)
+    return join_words([*all_of[:MOST_LISTED], f"{more} more"] if more > 0 else all_of)
 
 
-def listed(parts: Iterable[str], last: str = "and") -> str:
+def join_words(parts: Iterable[str], last: str = "and") -> str:
     """Return parts with commas and a last word: ``a, b and c``."""
     *before, end = parts
     return f"{', '.join(before)} {last} {end}" if before else end
@@ -96,7 +96,7 @@ def decimals(half_width: float | None) -> int | None:
     return max(0, -place + (half_width < 2.0 * 10.0**place))
 
 
-def rounded(value: float, half_width: float | None) -> str:
+def round_value(value: float, half_width: float | None) -> str:
     """Return a value with the decimals that its half width allows."""
     places = decimals(half_width)
     return f"{value:.3g}" if places is None else f"{value:.{places}f}"

@@ -29,7 +29,7 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.in_memory import judge_flights
 from aerial_gym.sim2real.judge.analysis import Judged
-from aerial_gym.sim2real.judge.answer import findings_of
+from aerial_gym.sim2real.judge.answer import list_findings
 from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT
 from aerial_gym.sim2real.logs.inputs import load_train_and_test
 from aerial_gym.sim2real.report.run_folder import whole_folder
@@ -102,8 +102,8 @@ def test_the_verdict_names_the_hidden_drag(result: Path) -> None:
     untold |= {"ground_effect", "ceiling_effect", "downwash"}
     # Creep is left open: thrusts that hardly change show the compliance of slow arms to just its scale, 0.996 of it.
     assert set(verdict["not_testable"]) - {"joint_creep"} == untold
-    found = {(one["code"], one["subject"]): one["values"] for one in verdict["findings"]}
-    assert found["logs_lack", "ceiling_effect"]["need"] == "ceiling_height"
+    statements = {(one["code"], one["subject"]): one["values"] for one in verdict["findings"]}
+    assert statements["logs_lack", "ceiling_effect"]["need"] == "ceiling_height"
     assert verdict["structure"]["kind"] == "none"
     assert verdict["whiteness"]["specific_force.x"]["white"] is True
     assert effect["without_it"]["octaves"][0] > 0.9  # a path of a few tenths of a hertz
@@ -120,13 +120,13 @@ def test_the_verdict_names_the_hidden_drag(result: Path) -> None:
     assert became["specific_force.x"]["state"] == became["specific_force.y"]["state"] == "better"
     assert became["free.velocity.1"]["rises"] < -0.5  # two groups of windows: no more than the size is shown
     assert became["specific_force.x"]["interval"][1] < -0.5
-    (gain,) = (values["errors"] for (code, _), values in found.items() if code == "errors_fall")
+    (gain,) = (values["errors"] for (code, _), values in statements.items() if code == "errors_fall")
     assert {row["quantity"] for row in gain} == {"specific_force.x", "specific_force.y"}
     for row in gain:
         assert row["before_m_s2"] == before["specific_force"][row["quantity"][-1]]["rms"]
         assert row["after_m_s2"] == after["specific_force"][row["quantity"][-1]]["rms"]
-    assert not {code for code, _ in found} & {"error_rises", "keep_declared_where"}
-    assert ("load_robot_file", "") in found
+    assert not {code for code, _ in statements} & {"error_rises", "keep_declared_where"}
+    assert ("load_robot_file", "") in statements
     error = [model["rollout_given_attitude"]["1"]["velocity"]["rms"] for model in (before, after)]
     assert error[1] < 0.5 * error[0]
 
@@ -402,7 +402,7 @@ def test_forces_at_an_unknown_airspeed_are_not_called_unexplained(tmp_path: Path
         verdict = judge_flights(robot, *flights).verdict
     assert verdict.verdict == "none"
     assert verdict.unexplained == ()
-    codes = [finding.code for finding in findings_of(verdict)]
+    codes = [finding.code for finding in list_findings(verdict)]
     assert {"forces_not_judged", "log_velocity"} <= set(codes)
 
 

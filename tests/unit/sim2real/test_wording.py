@@ -10,9 +10,9 @@ import pytest
 import aerial_gym.sim2real
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.findings import CODES, Finding, unit_key
-from aerial_gym.sim2real.wording import TEMPLATES, rendered, text
+from aerial_gym.sim2real.wording import TEMPLATES, render_findings, text
 from aerial_gym.sim2real.wording.effects import EFFECT_TEMPLATES
-from aerial_gym.sim2real.wording.words import rounded, tolerance
+from aerial_gym.sim2real.wording.words import round_value, tolerance
 from tests.unit.sim2real.finding_samples import EFFECT_SAMPLES, GOLDEN, SAMPLES, effect, golden
 
 ROOT = Path(aerial_gym.sim2real.__file__).parent
@@ -56,7 +56,7 @@ def test_sentences_are_short() -> None:
     assert [one for one in long if "needed" not in one[1].lower()] == []  # excitations are those of the effects
 
 
-def findings_in(path: Path) -> Iterator[ast.Call]:
+def finding_calls(path: Path) -> Iterator[ast.Call]:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "Finding":
             yield node
@@ -66,7 +66,7 @@ def findings_in(path: Path) -> Iterator[ast.Call]:
 def test_findings_hold_names_and_numbers_but_no_prose(room: str) -> None:
     """No text with a blank within a call of ``Finding``."""
     for path in (ROOT / room).rglob("*.py"):
-        for call in findings_in(path):
+        for call in finding_calls(path):
             texts = [str(node.value) for node in ast.walk(call) if isinstance(node, ast.Constant)]
             assert [text for text in texts if " " in text] == [], f"{path.name}:{call.lineno}: prose in a finding"
 
@@ -78,7 +78,7 @@ def test_a_finding_of_an_unknown_code_is_refused() -> None:
 
 def test_findings_within_json_become_sentences() -> None:
     note = Finding("few_flights", "", {"flights": 2})
-    assert rendered({"a": [note, 1.0], "b": (None,)}) == {"a": [text(note), 1.0], "b": [None]}
+    assert render_findings({"a": [note, 1.0], "b": (None,)}) == {"a": [text(note), 1.0], "b": [None]}
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_units_end_keys(unit: str, key: str) -> None:
     ],
 )
 def test_values_have_the_digits_that_their_intervals_allow(value: float, half_width: float, shown: str) -> None:
-    assert f"{rounded(value, half_width)} {tolerance(half_width, '')}" == shown
+    assert f"{round_value(value, half_width)} {tolerance(half_width, '')}" == shown
 
 
 @pytest.mark.parametrize(

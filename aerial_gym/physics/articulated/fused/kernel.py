@@ -108,7 +108,9 @@ def make_jointed_kernel(
     remembers, law_remembers = bool(model.effects.remembering), law.make_stateful_step is not None
     begin = make_begin(model) if remembers else None
     memories_type = memory_type(effects=remembers, law=law_remembers)
-    remembered_command = law.make_stateful_step(law, num_rotors, general) if law.make_stateful_step is not None else None
+    remembered_command = (
+        law.make_stateful_step(law, num_rotors, general) if law.make_stateful_step is not None else None
+    )
     vehicle_type, command_type, gains_type = types.vehicle, types.command, law.gains_type or NoGains
     command_of = make_command(law, num_rotors, general)
     stop = make_dead_band(num_rotors) if general else None

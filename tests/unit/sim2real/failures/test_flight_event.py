@@ -48,11 +48,11 @@ def flight(name: str, seconds: float = 8.0, rate: float = 100.0) -> Flight:
 
 def test_flights_end_before_their_failures_or_are_left_out() -> None:
     """A failure known to 20 ms at 5 s leaves 4.98 s; one at 1 s leaves less than 2 s, and so nothing."""
-    found = until_failure([flight("a"), flight("b"), flight("c")], [failure("b"), failure("c", 1.0)])
-    assert [(one.name, one.num_rows) for one in found] == [("a", 800), ("b", 498)]
-    assert found[1].attitude.shape == (498, 4)
-    assert found[1].rotor_command is not None
-    assert found[1].rotor_command.shape == (498, 4)
+    event = until_failure([flight("a"), flight("b"), flight("c")], [failure("b"), failure("c", 1.0)])
+    assert [(one.name, one.num_rows) for one in event] == [("a", 800), ("b", 498)]
+    assert event[1].attitude.shape == (498, 4)
+    assert event[1].rotor_command is not None
+    assert event[1].rotor_command.shape == (498, 4)
 
 
 def test_one_failure_is_that_of_all_flights_only_if_it_is_the_same_in_all() -> None:
@@ -69,8 +69,8 @@ def test_one_failure_is_that_of_all_flights_only_if_it_is_the_same_in_all() -> N
 
 
 def test_a_failure_is_a_finding_with_its_intervals() -> None:
-    found = replace(failure("a"), place="front left").finding
-    assert (found.code, found.subject) == ("failure_found", "a")
+    event = replace(failure("a"), place="front left").finding
+    assert (event.code, event.subject) == ("failure_found", "a")
     numbers = {
         "time_s": 5.0,
         "time_low_s": 4.98,
@@ -80,7 +80,7 @@ def test_a_failure_is_a_finding_with_its_intervals() -> None:
         "share_high": 0.81,
     }
     names = {"failure": "motor_failure", "rotor": 2, "place": "front left"}
-    assert found.values == pytest.approx(numbers | names)
+    assert event.values == pytest.approx(numbers | names)
 
 
 def test_the_limit_is_that_of_blocks_between_false_alarms() -> None:

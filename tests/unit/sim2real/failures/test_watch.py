@@ -48,7 +48,7 @@ def test_a_propeller_that_breaks_is_suspected_and_then_named() -> None:
 
 def test_the_whole_flight_tells_the_same(tmp_path: Path) -> None:
     log = read_flight_log(write(failing(), tmp_path / "a.csv"))
-    found = FailureFinder(ROBOT).first_in(complete_flight(log))
+    found = FailureFinder(ROBOT).find_first(complete_flight(log))
     assert found is not None
     assert (found.name, found.params["motor"]) == ("weak_motor", 2.0)
     assert found.params["scale"] == pytest.approx(LEFT, abs=4.0 * found.std["scale"])

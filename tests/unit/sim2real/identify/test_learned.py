@@ -115,8 +115,8 @@ def test_noise_is_not_learned(tmp_path: Path) -> None:
     learned, _ = learn(tmp_path, 0.0, seconds=4.0)
     assert learned.cfg is None
     assert learned.effect is None
-    (found,) = learned.findings
-    assert (found.code, [row["code"] for row in found.values["objections"]]) == ("learned_refused", ["share_small"])
+    (refusal,) = learned.findings
+    assert (refusal.code, [row["code"] for row in refusal.values["objections"]]) == ("learned_refused", ["share_small"])
 
 
 def test_flights_without_velocity_and_a_robot_that_has_one_are_refused(tmp_path: Path) -> None:

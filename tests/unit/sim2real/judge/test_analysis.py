@@ -57,8 +57,8 @@ def test_of_a_strained_tolerance_it_is_said_what_it_changes(
     first, last = notes_of(4.0, left)
     assert first == Finding("tolerance_strained", "mass", {"deviation_std": 4.0})
     assert last.code == ("strained_changes" if changed else "strained_changes_little")
-    found = {row["channel"]: (row["with_m_s2"], row["without_m_s2"]) for row in last.values.get("errors", ())}
-    assert found == {channel: pytest.approx(pair) for channel, pair in changed.items()}
+    errors = {row["channel"]: (row["with_m_s2"], row["without_m_s2"]) for row in last.values.get("errors", ())}
+    assert errors == {channel: pytest.approx(pair) for channel, pair in changed.items()}
     assert notes_of(2.0, left) == []
 
 

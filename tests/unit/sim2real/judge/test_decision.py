@@ -15,10 +15,10 @@ def codes(decision: Decision) -> list[str]:
 
 def test_doubt_about_one_effect_is_not_put_on_the_others() -> None:
     ties = {"rotor_drag": [], "com_offset": ["motor_tilt", "weak_motor"], "imu_bias": []}
-    found = decide(ties, ("rotor_speed.1",), floor_known=True)
-    assert found.kind == "ambiguous"
-    assert found.candidates == ("rotor_drag", "com_offset", "imu_bias", "motor_tilt", "weak_motor")
-    tie, rest = found.findings
+    decision = decide(ties, ("rotor_speed.1",), floor_known=True)
+    assert decision.kind == "ambiguous"
+    assert decision.candidates == ("rotor_drag", "com_offset", "imu_bias", "motor_tilt", "weak_motor")
+    tie, rest = decision.findings
     assert (tie.code, tie.subject, tie.values) == (
         "effect_tied",
         "com_offset",
@@ -28,7 +28,7 @@ def test_doubt_about_one_effect_is_not_put_on_the_others() -> None:
 
 
 @pytest.mark.parametrize(
-    ("effects", "found", "kind", "expected"),
+    ("effects", "remains", "kind", "expected"),
     [
         (("rotor_drag",), {}, "explained", ["remains_near_floor"]),
         (("rotor_drag",), {"left_open": X}, "explained", ["left_open"]),
@@ -49,9 +49,9 @@ def test_doubt_about_one_effect_is_not_put_on_the_others() -> None:
     ],
 )
 def test_kind_and_open_points_follow_from_what_remains(
-    effects: tuple[str, ...], found: dict[str, Any], kind: str, expected: list[str]
+    effects: tuple[str, ...], remains: dict[str, Any], kind: str, expected: list[str]
 ) -> None:
-    given = {"unexplained": (), "floor_known": True} | found
+    given = {"unexplained": (), "floor_known": True} | remains
     decision = decide(dict.fromkeys(effects, ()), **given)
     assert (decision.kind, codes(decision)) == (kind, expected)
     assert decision.candidates == (*effects, *given.get("open_to", ()))

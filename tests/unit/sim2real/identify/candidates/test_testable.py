@@ -31,9 +31,9 @@ def test_a_lag_is_not_looked_for_in_commands_logged_more_slowly_than_rotors_foll
         replace(flight, rate=rate, rotor_command=np.full((flight.num_rows, 4), 900.0)) for rate in (25.0, 50.0)
     )
     assert lacks(name, ROBOT, [quick]) is None
-    found = lacks(name, ROBOT, [quick, slow])
-    assert found is not None
-    assert (found.code, found.values) == ("commands_too_coarse", pytest.approx({"row_ms": 40.0, "lag_ms": 40.0}))
+    reason = lacks(name, ROBOT, [quick, slow])
+    assert reason is not None
+    assert (reason.code, reason.values) == ("commands_too_coarse", pytest.approx({"row_ms": 40.0, "lag_ms": 40.0}))
     assert lacks("actuation_delay", ROBOT, [slow]) is lacks("thrust_coefficient", ROBOT, [slow]) is None
     assert lacks(name, ROBOT, [replace(slow, rotor_command=None)]) is None
 
@@ -43,9 +43,9 @@ def test_what_air_does_is_not_looked_for_where_the_speed_through_it_is_unknown(n
     """Hubs move as a vehicle turns, and that alone would fit them a coefficient."""
     whole = hover("a", 5.0)
     assert lacks(name, ROBOT, [whole]) is None
-    found = lacks(name, ROBOT, [whole, replace(whole, lin_vel=None)])
-    assert found is not None
-    assert (found.code, found.values["need"]) == ("logs_lack", "lin_vel")
+    reason = lacks(name, ROBOT, [whole, replace(whole, lin_vel=None)])
+    assert reason is not None
+    assert (reason.code, reason.values["need"]) == ("logs_lack", "lin_vel")
     assert lacks("thrust_coefficient", ROBOT, [replace(whole, lin_vel=None)]) is None
 
 

@@ -221,11 +221,11 @@ def test_gusts_beside_a_verdict_are_a_candidate_of_it() -> None:
     wind = RandomWind(std=1.0, p_value=1e-9)
     point = Finding("left_open", "", {"channels": ["specific_force.x"]})
 
-    def made(kind: str, *candidates: str) -> Decision:
+    def decision(kind: str, *candidates: str) -> Decision:
         return Decision(kind=kind, candidates=candidates, findings=(point,))
 
     none, open_yet, more = (
-        wind.decision(made(*given)) for given in (("none",), ("not shown",), ("unexplained", "rotor_drag"))
+        wind.decision(decision(*given)) for given in (("none",), ("not shown",), ("unexplained", "rotor_drag"))
     )
     assert (none.kind, none.candidates, [one.code for one in none.findings]) == (
         "explained",
@@ -235,4 +235,4 @@ def test_gusts_beside_a_verdict_are_a_candidate_of_it() -> None:
     assert (open_yet.kind, open_yet.findings) == ("explained", (point,))
     assert (more.kind, more.candidates, more.findings) == ("unexplained", ("rotor_drag", "gusts"), (point,))
     refused = replace(wind, objections=(Finding("may_be_noise", "gusts", {"p_value": 0.1}),))
-    assert refused.decision(made("none")) == made("none")
+    assert refused.decision(decision("none")) == decision("none")
