@@ -50,7 +50,8 @@ def list_findings(verdict: Verdict) -> tuple[Finding, ...]:
     """Return all findings: the answer, its meaning, the notes, and the reasons why effects could not be tested."""
     parts = (finding for part in answer(verdict).parts.values() for finding in part)
     learned = () if verdict.learned is None else verdict.learned.findings
-    return (*parts, *meaning(verdict), *learned, *verdict.notes, *verdict.not_testable.values())
+    all_of = (*parts, *meaning(verdict), *learned, *verdict.notes, *verdict.not_testable.values())
+    return tuple(dict.fromkeys(all_of))
 
 
 def meaning(verdict: Verdict) -> tuple[Finding, ...]:
@@ -107,7 +108,8 @@ def _results(verdict: Verdict) -> Iterator[Finding]:
         return
     if verdict.unexplained:
         yield from (_add_errors(verdict, point) for point in verdict.open_points if point.code == "remains_unexplained")
-        yield Finding("effects_none")
+        if verdict.verdict == "unexplained":
+            yield Finding("effects_none")
     elif any(point.code in ("left_open", "floor_unknown") for point in verdict.open_points):
         yield Finding("effects_none")
     else:
@@ -170,6 +172,7 @@ def _open(verdict: Verdict) -> Iterator[Finding]:
     for point in verdict.open_points:
         if point.code not in told:
             yield _add_errors(verdict, point) if point.code == "remains_unexplained" else point
+    yield from (rival.finding for effect in verdict.effects for rival in effect.in_part)
     structure = verdict.structure
     if structure.kind != "none":
         values = {"channel": structure.channel, "freq_hz": structure.freq_hz, "share": structure.share}

@@ -75,10 +75,17 @@ class NamedEffect:
 
     @property
     def finding(self) -> Finding:
-        """Return the effect with its parameters, each with its declared value and the half width of its interval."""
+        """Return the effect with its parameters, each with its declared value and the half width of its interval.
+
+        A parameter that may be another effect is left out, unless all of them may.
+        """
+        own = [parameter for parameter in EFFECTS.get(self.name).parameters if parameter.name in self.params]
+        rivals = {rival.parameter for rival in self.in_part}
+        numbers = [one.name for one in own if one.kind == "number" and one.name not in self.frozen]
+        shown = [name for name in numbers if name not in rivals] or numbers
         values: dict[str, object] = {"place": self.place} if self.place else {}
-        for parameter in EFFECTS.get(self.name).parameters:
-            if parameter.name in self.params and parameter.name not in self.frozen:
+        for parameter in own:
+            if parameter.name in shown or parameter.kind != "number":
                 std = self.std.get(parameter.name)
                 values[f"{parameter.name}_{unit_key(parameter.unit)}"] = {
                     "value": self.params[parameter.name],

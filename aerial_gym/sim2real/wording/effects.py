@@ -55,8 +55,11 @@ def read_numbers(finding: Finding) -> Numbers:
 
 def effect_sentence(finding: Finding) -> str:
     """Return the sentence of a params effect; less certain ones are called probable, tied ones are conditional."""
-    template = EFFECT_TEMPLATES.get(finding.subject, _by_parameters)
-    sentence, ties = template(finding, read_numbers(finding)), finding.values["ties"]
+    params, ties = read_numbers(finding), finding.values["ties"]
+    try:
+        sentence = EFFECT_TEMPLATES.get(finding.subject, _by_parameters)(finding, params)
+    except KeyError:  # a parameter of the template is not shown by the flights
+        sentence = _by_parameters(finding, params)
     probability = float(finding.values["probability"])
     if ties:
         return f"If it is {finding.subject}, {_lower(sentence)}"

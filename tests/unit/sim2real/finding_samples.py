@@ -53,6 +53,7 @@ EFFECT_SAMPLES = [
     effect("ground_effect", k=(3.2, 0.0, 0.4)),
     effect("ceiling_effect", k=(1.2, 0.0, 0.2)),
     effect("downwash", force=(0.5, 0.0, 0.06), sigma=(0.3, 0.3, 0.02)),
+    effect("downwash", sigma=(0.3, 0.3, 0.02)),
     effect("imu_bias", ax=(0.12, 0.0, 0.01), ay=(0.0, 0.0, 0.01), gz=(-0.02, 0.0, 0.003)),
     effect("imu_bias", ax=(0.001, 0.0, 0.01)),
     effect("imu_misalignment", roll=(0.02, 0.0, 0.002), pitch=(-0.01, 0.0, 0.002), yaw=(0.0, 0.0, 0.002)),
