@@ -169,6 +169,12 @@ def own_threads() -> Iterator[None]:
     torch.set_num_threads(_THREADS)
 
 
+@pytest.fixture(params=["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])])
+def device(request: pytest.FixtureRequest) -> torch.device:
+    """Return the CPU, then the first GPU if there is one."""
+    return torch.device(request.param)
+
+
 @pytest.fixture
 def optimised() -> Iterator[None]:
     """Compile kernels as users have them, also those that were launched before.

@@ -18,7 +18,6 @@ from aerial_gym.errors import ShapeError
 
 Array = NDArray[np.float64]
 
-DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
 BOX = ShapeCfg(kind="box", size=(0.6, 1.0, 1.6))
 SPHERE = ShapeCfg(kind="sphere", radius=0.7)
 CYLINDER = ShapeCfg(kind="cylinder", radius=0.4, height=1.5)
@@ -26,11 +25,6 @@ PLANE = ShapeCfg(kind="plane")
 CAPSULE = ShapeCfg(kind="capsule", radius=0.35, height=1.1)
 RADIUS = 0.05
 PROBE = (SphereCfg(center=(0.0, 0.0, 0.0), radius=RADIUS),)
-
-
-@pytest.fixture(params=DEVICES)
-def device(request: pytest.FixtureRequest) -> torch.device:
-    return torch.device(request.param)
 
 
 def random_unit_quaternions(*shape: int, generator: torch.Generator) -> Tensor:

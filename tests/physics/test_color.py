@@ -23,7 +23,6 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_conjugate, quat_from_euler, quat_rotate
 from aerial_gym.sensors import RayCaster, SensorImages
 
-DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
 PAINT = LightCfg(sun=None, ambient=1.0, shadows=False, sky=(0.0, 0.0, 0.0))
 DARK = LightCfg(sun=None, ambient=0.0, sky=(0.0, 0.0, 0.0))
 CAMERA = CameraCfg(
@@ -40,11 +39,6 @@ CAMERA = CameraCfg(
 DOWN = [0.0, np.pi / 2, 0.0]
 
 pytestmark = pytest.mark.usefixtures("few_rays")
-
-
-@pytest.fixture(params=DEVICES)
-def device(request: pytest.FixtureRequest) -> torch.device:
-    return torch.device(request.param)
 
 
 def make_scene(

@@ -17,18 +17,13 @@ from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
-from tests.physics.test_links_seen import DEVICES, DOWN, END, HINGE, LEFT, arm, bending
+from tests.physics.test_links_seen import DOWN, END, HINGE, LEFT, arm, bending
 
 RADIUS, LENGTH = 0.02, END - HINGE
 ROD_OF_ARM = CapsuleCfg(
     radius=RADIUS, height=LENGTH, center=(0.5 * (HINGE + END), 0.0, 0.0), euler=(0.0, 0.5 * pi, 0.0), link="arm"
 )
 HULL = SphereCfg(center=(0.0, 0.0, 0.0), radius=0.05)
-
-
-@pytest.fixture(params=DEVICES)
-def device(request: pytest.FixtureRequest) -> torch.device:
-    return torch.device(request.param)
 
 
 def fly(

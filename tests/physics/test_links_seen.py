@@ -28,7 +28,6 @@ from aerial_gym.sensors import IMUS, RayCaster, make_images
 from aerial_gym.sensors.scan import group_ages
 from tests.builders import simulation
 
-DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
 HINGE, END, RADIUS = 0.1, 0.5, 0.05
 DOWN, LEFT = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 """Axes about which a positive angle takes the arm down, or to the left."""
@@ -41,11 +40,6 @@ CAMERA = CameraCfg(
 STILL = {
     f"{name}_{end}": (0.0, 0.0, 0.0) for name in ("euler", "lin_vel", "ang_vel") for end in ("low", "high")
 }  # fmt: skip
-
-
-@pytest.fixture(params=DEVICES)
-def device(request: pytest.FixtureRequest) -> torch.device:
-    return torch.device(request.param)
 
 
 def bending(*joints: JointCfg, floating: bool = False, **changes: object) -> RobotCfg:

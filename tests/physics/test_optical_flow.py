@@ -18,7 +18,6 @@ from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import SENSORS, RayCaster, SensorManager, make_images
 from tests.builders import simulation
 
-DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
 COMMON = {
     "summary": "test", "width": 36, "height": 28, "min_range": 0.0, "max_range": 20.0, "optical_flow": True,
     "source": "chosen for the test",
@@ -31,11 +30,6 @@ FISHEYE = FisheyeCfg(**{**COMMON, "width": 35, "height": 27}, hfov_deg=200.0)
 FOCAL = 18.0 / tan(radians(40.0))
 LEVEL = torch.tensor([0.0, 0.0, 0.0, 1.0])
 WALL = ShapeCfg(kind="box", size=(0.2, 60.0, 60.0))
-
-
-@pytest.fixture(params=DEVICES)
-def device(request: pytest.FixtureRequest) -> torch.device:
-    return torch.device(request.param)
 
 
 def wall_at(depth: float, device: torch.device, *, twist: Sequence[float] = (0.0,) * 6) -> Scene:

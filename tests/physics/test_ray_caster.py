@@ -20,10 +20,10 @@ from aerial_gym.config.sensor import CameraCfg
 from aerial_gym.errors import ShapeError
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.sensors import MISS_ID, RayCaster, SensorImages, SensorManager
+from tests.physics.test_collision import random_unit_quaternions, rotation
 
 Array = NDArray[np.float64]
 
-DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
 TOLERANCE = 1e-4
 UNWRITTEN = -12345
 
@@ -41,11 +41,6 @@ BOX = ShapeCfg(kind="box", size=(0.6, 1.0, 1.6))
 SPHERE = ShapeCfg(kind="sphere", radius=0.7)
 CYLINDER = ShapeCfg(kind="cylinder", radius=0.4, height=1.5)
 CAPSULE = ShapeCfg(kind="capsule", radius=0.35, height=1.1)
-
-
-@pytest.fixture(params=DEVICES)
-def device(request: pytest.FixtureRequest) -> torch.device:
-    return torch.device(request.param)
 
 
 # ---------------------------------------------------------------------------------------------- helpers
@@ -79,17 +74,6 @@ def shoot(cfg: CameraCfg, scene: Scene, position: Tensor, attitude: Tensor) -> t
 def level(num_envs: int) -> tuple[Tensor, Tensor]:
     """Return bodies at the origin, level."""
     return torch.zeros(num_envs, 3), torch.tensor([0.0, 0.0, 0.0, 1.0]).repeat(num_envs, 1)
-
-
-def random_unit_quaternions(*shape: int, generator: torch.Generator) -> Tensor:
-    q = torch.randn(*shape, 4, generator=generator)
-    return q / q.norm(dim=-1, keepdim=True)
-
-
-def rotation(q: Tensor) -> Array:
-    """Return the matrix of one xyzw quaternion in float64, by trimesh."""
-    x, y, z, w = q.double().tolist()
-    return trimesh.transformations.quaternion_matrix([w, x, y, z])[:3, :3]
 
 
 def pixel_rays(cfg: CameraCfg) -> Array:

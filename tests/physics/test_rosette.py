@@ -19,7 +19,6 @@ from aerial_gym.sensors.rays import ray_table, rosette_rays, through_prisms
 from aerial_gym.sensors.scan import group_ages
 
 CPU = torch.device("cpu")
-DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
 LEVEL = torch.tensor([0.0, 0.0, 0.0, 1.0])
 WALL = ShapeCfg(kind="box", size=(0.2, 60.0, 60.0))
 AHEAD = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
@@ -230,11 +229,6 @@ def test_every_lidar_that_is_round_is_in_the_table_of_turning_ones() -> None:
 
 
 # ------------------------------------------------------------------------------------------------ in flight
-
-
-@pytest.fixture(params=DEVICES)
-def device(request: pytest.FixtureRequest) -> torch.device:
-    return torch.device(request.param)
 
 
 def wall_of(envs: int, depth: float, device: torch.device) -> Scene:

@@ -15,7 +15,6 @@ from aerial_gym.math.quaternion import quat_exp, quat_from_euler, quat_multiply,
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.sensors import RayCaster, SensorImages, SensorManager, make_images
 
-DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
 SCAN_S = 0.1
 LIDAR = LidarCfg(
     summary="test lidar",
@@ -46,11 +45,6 @@ BALL, BRICK, GROUND = (
 SHAPES = [TREE, BALL, BRICK, GROUND]
 
 pytestmark = pytest.mark.usefixtures("few_rays")
-
-
-@pytest.fixture(params=DEVICES)
-def device(request: pytest.FixtureRequest) -> torch.device:
-    return torch.device(request.param)
 
 
 def shoot(cfg: LidarCfg, scene: Scene, **pose: Tensor) -> RayCaster:

@@ -17,7 +17,6 @@ from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.sensors import RayCaster, SensorManager, make_images
 
-DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
 CAMERA = CameraCfg(
     summary="test camera",
     width=40,
@@ -31,11 +30,6 @@ CAMERA = CameraCfg(
 LEVEL = torch.tensor([0.0, 0.0, 0.0, 1.0])
 
 pytestmark = pytest.mark.usefixtures("few_rays")
-
-
-@pytest.fixture(params=DEVICES)
-def device(request: pytest.FixtureRequest) -> torch.device:
-    return torch.device(request.param)
 
 
 def make_scene(shapes: list[ShapeCfg], poses: list[tuple[list[float], list[float]]], device, *, num_envs=1) -> Scene:

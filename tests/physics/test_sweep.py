@@ -44,12 +44,6 @@ PARTS = {
     "plane": ShapeCfg(kind="plane"),
 }
 MESHES = ("slab", "torus", "sheet")
-DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
-
-
-@pytest.fixture(params=DEVICES)
-def device(request: pytest.FixtureRequest) -> torch.device:
-    return torch.device(request.param)
 
 
 @dataclass(frozen=True)

@@ -23,17 +23,11 @@ from aerial_gym.sensors import RayCaster, SensorImages
 from tests.builders import simulation
 from tests.physics.test_ray_caster import CAMERA, exact_distance, pixel_rays, rotation
 
-DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
 ARM = PartCfg(shape=ShapeCfg(kind="box", size=(0.5, 0.06, 0.04)), position=(0.1, 0.0, -0.02), euler=(0.0, 0.0, 0.7))
 POD = PartCfg(shape=ShapeCfg(kind="sphere", radius=0.09), position=(0.2, 0.2, 0.1), semantic_id=5)
 BASE = ROBOTS.get("base_quadrotor")
 SEEN = replace(BASE, visible=True, visual=(ARM, POD))
 OPEN_AIR = ENVIRONMENTS.get("empty_env")
-
-
-@pytest.fixture(params=DEVICES)
-def device(request: pytest.FixtureRequest) -> torch.device:
-    return torch.device(request.param)
 
 
 def build(robot: RobotCfg, env: EnvironmentCfg, device: torch.device, *, num_envs: int = 2) -> EnvManager:

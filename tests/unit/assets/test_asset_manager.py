@@ -18,14 +18,8 @@ from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.sensors import MISS_ID, SENSORS, SensorManager
 
-DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
 OBSTACLES = ENVIRONMENTS.get("env_with_obstacles")
 PANELS, WALLS, OBJECTS = slice(0, 3), slice(3, 9), slice(9, 44)
-
-
-@pytest.fixture(params=DEVICES)
-def device(request: pytest.FixtureRequest) -> torch.device:
-    return torch.device(request.param)
 
 
 def make_manager(
