@@ -120,27 +120,6 @@ def test_a_wrench_within_the_limits_is_the_pseudo_inverse_bit_for_bit(name: str)
     assert torch.equal(prioritised_thrust(allocation.inverse, wanted, low, high)[fits], plain[fits])
 
 
-def test_yaw_gives_way_first_then_thrust_and_roll_and_pitch_last() -> None:
-    """Each in turn asked for more than there is, on a quadrotor: what stands before it is kept exactly."""
-    robot = ROBOTS.get("tinyprop")
-    allocation = allocation_of(robot, 3)
-    vehicle = vehicle_from_config(robot, num_envs=3, dtype=F64)
-    wanted = torch.tensor(
-        [[0, 0, 3.66, 0.05, -0.04, 0.5], [0, 0, 30.0, 0.05, -0.04, 0.5], [0, 0, 0.0, 0.6, -0.4, 0.5]], dtype=F64
-    )
-    thrust = prioritised_thrust(allocation.inverse, wanted, allocation.low, allocation.high)
-    assert ((thrust >= allocation.low) & (thrust <= allocation.high)).all()
-    given = (allocation_matrix(vehicle, 9.81) @ thrust.unsqueeze(-1)).squeeze(-1)
-    torch.testing.assert_close(given[:2, 3:5], wanted[:2, 3:5], atol=1e-12, rtol=0)
-    torch.testing.assert_close(given[0, 2], wanted[0, 2], atol=1e-12, rtol=0)
-    assert 0.0 < given[0, 5] < wanted[0, 5]
-    assert given[1, 5].abs() < 1e-12
-    assert 3.66 < given[1, 2] < 4 * 1.2
-    ratio = given[2, 3] / wanted[2, 3]
-    assert 0.0 < ratio < 1.0
-    torch.testing.assert_close(given[2, 4] / wanted[2, 4], ratio)
-
-
 def test_clamp_lets_every_rotor_stop_at_its_own_limit() -> None:
     """The option that stays: roll is lost where prioritised allocation keeps it."""
     robot = ROBOTS.get("tinyprop")
