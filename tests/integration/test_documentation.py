@@ -141,6 +141,13 @@ def test_every_block_names_its_language(page: Path) -> None:
     assert all(block.language for block in blocks_of(page))
 
 
+def test_pages_that_the_code_names_exist() -> None:
+    files = [path for folder in ("aerial_gym", "benchmarks", "examples") for path in (ROOT / folder).rglob("*.*")]
+    texts = (path.read_text(encoding="utf-8") for path in files if path.suffix in (".py", ".yaml"))
+    named = {page for text in texts for page in re.findall(r"\bdocs/[\w/]+\.md", text)}
+    assert not [page for page in sorted(named) if not (ROOT / page).is_file()]
+
+
 def test_pages_are_short() -> None:
     """README has at most 70 lines, and a page that is no result some 1,500 words outside of code."""
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 70

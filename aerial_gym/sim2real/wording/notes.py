@@ -160,7 +160,7 @@ NOTES = {
     ),
     "joints_held": lambda f: (
         f"The vehicle is taken as rigid, with its joints ({names(f.values['joints'])}) in the reference pose. "
-        "Bending shows as a residual (docs/joints.md)."
+        "Bending shows as a residual (docs/guides/articulated_vehicles.md)."
     ),
     "failure_suspected": lambda f: (
         f"A failure is suspected (log odds {f.values['log_odds']:.1f}), and nothing was made of it. {failure_sentence(f)} "
