@@ -115,7 +115,7 @@ def _cell(text: object) -> str:
 
 def code_marks(text: str) -> str:
     """Return a docstring with the code marks of Markdown."""
-    return text.replace("``", "`")
+    return text.replace("``", "`").replace("::\n", ":\n")
 
 
 def page(title: str, introduction: str, parts: Iterable[str]) -> str:
