@@ -1,4 +1,4 @@
-"""How far our controllers are from those of real firmware: the golden vectors of this folder, as a table.
+"""Differences of our controllers from the firmware on the golden vectors of this folder, as a table.
 
 python -m tests.cross.firmware.agreement [--write docs/results/firmware.md]
 """
@@ -16,12 +16,12 @@ BEGIN, END = "<!-- table: begin, by python -m tests.cross.firmware.agreement -->
 
 
 def pairs() -> dict[str, tuple[Tensor, Tensor]]:
-    """Return our numbers and theirs, by what they are."""
+    """Return the outputs of ours and of the firmware, by quantity."""
     vectors = px4_pairs.read_vectors()
     position = {f"PX4: {name}": pair[:2] for name, pair in px4_pairs.position_pairs(vectors).items()}
     return {
         "PX4: normalised torque": px4_pairs.rate_pair(vectors)[:2],
-        "PX4: body rates of attitude control [rad/s]": px4_pairs.attitude_pair(vectors),
+        "PX4: body-rate setpoint of attitude control [rad/s]": px4_pairs.attitude_pair(vectors),
         **position,
         "PX4: motor signals of the mixer": px4_pairs.mixer_pair(),
         **_crazyflie(),
@@ -48,12 +48,12 @@ def _crazyflie() -> dict[str, tuple[Tensor, Tensor]]:
     found["Crazyflie, Brescianini: thrust [N]"] = ours[..., :1], theirs[..., :1]
     found["Crazyflie, Brescianini: torque [N m]"] = ours[..., 1:], theirs[..., 1:]
     reduced = crazyflie_pairs.brescianini_reduced_pair(vectors)
-    found["Crazyflie, Brescianini: rates of the tilt alone, world [rad/s]"] = reduced
+    found["Crazyflie, Brescianini: rates of the reduced attitude, world [rad/s]"] = reduced
     return found | {"Crazyflie: motors [whole counts]": crazyflie_pairs.power_pair(vectors)}
 
 
 def table() -> str:
-    """Return the table with what it was made on."""
+    """Return the table with hardware and versions."""
     lines = [
         "| | states | largest value | largest difference | 99 % below | median |",
         "| --- | --- | --- | --- | --- | --- |",
@@ -68,7 +68,7 @@ def table() -> str:
 
 
 def main() -> None:
-    """Print the table, or write it into a page."""
+    """Print the table, or write it to a page."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--write", type=Path, help="page in which the table stands")
     args = parser.parse_args()

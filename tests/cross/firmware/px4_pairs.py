@@ -97,9 +97,9 @@ def position_pairs(vectors: dict[str, Tensor]) -> dict[str, Pair]:
     acceleration, thrust, attitude = (torch.stack(each) for each in zip(*found, strict=True))
     size = torch.stack(sizes)
     return {
-        "wanted acceleration [m/s²]": (acceleration, parts[0], size),
+        "acceleration setpoint [m/s²]": (acceleration, parts[0], size),
         "normalised thrust": (thrust, parts[1], torch.ones_like(size)),
-        "wanted attitude (quaternion)": (attitude, parts[2].view_as(attitude), torch.ones_like(size)),
+        "attitude setpoint (quaternion)": (attitude, parts[2].view_as(attitude), torch.ones_like(size)),
     }
 
 
