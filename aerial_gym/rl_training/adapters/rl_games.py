@@ -171,16 +171,7 @@ def run(
     interruption: Interruption,
     ranks: Ranks = ALONE,
 ) -> bool:
-    """Train until a limit of ``cfg`` is reached or the user interrupts; return whether it was interrupted.
-
-    Args:
-        cfg: Settings.
-        task: Built task, reset by the trainer.
-        folder: Receives TensorBoard files.
-        progress: Told after every update.
-        keeper: Keeps checkpoints, and knows where to go on.
-        interruption: Whether the user asked to end.
-        ranks: The processes that learn together.
+    """Train as ``Trainer.run`` states.
 
     Raises:
         StorageError: If the disk is full.

@@ -37,6 +37,7 @@ from torch import Tensor
 
 from aerial_gym.errors import ConfigError, TrainingError
 from aerial_gym.rl_training.learner_settings import PpoCfg
+from aerial_gym.rl_training.ranks import ALONE, Ranks
 from aerial_gym.rl_training.run.interruption import Interruption
 from aerial_gym.rl_training.run.keeper import Keeper
 from aerial_gym.rl_training.run.progress import Progress, Report
@@ -176,23 +177,23 @@ class _Observer(AlgoObserver):
 
 
 def run(
-    cfg: TrainingCfg, task: Task, folder: RunFolder, progress: Progress, *, keeper: Keeper, interruption: Interruption
+    cfg: TrainingCfg,
+    task: Task,
+    folder: RunFolder,
+    progress: Progress,
+    *,
+    keeper: Keeper,
+    interruption: Interruption,
+    ranks: Ranks = ALONE,
 ) -> bool:
-    """Train until a limit of ``cfg`` is reached or the user interrupts; return whether it was interrupted.
-
-    Args:
-        cfg: Settings.
-        task: Built task, reset by the trainer.
-        folder: Receives TensorBoard files.
-        progress: Told after every update.
-        keeper: Keeps checkpoints, and knows where to go on.
-        interruption: Whether the user asked to end.
+    """Train as ``Trainer.run`` states, in one process.
 
     Raises:
-        ConfigError: If the device is not one that the library can use.
+        ConfigError: If the library cannot use the device.
         StorageError: If the disk is full.
-        TrainingError: If the training diverged, or the library gives up; the log says why.
+        TrainingError: If the training diverged or the library gave up.
     """
+    del ranks
     if task.device.type == "cuda" and (task.device.index or 0) != 0:
         raise ConfigError(f"device {task.device}: Sample Factory uses cuda:0. Choose the GPU with CUDA_VISIBLE_DEVICES")
     name = f"{cfg.task}_{uuid.uuid4().hex[:8]}"

@@ -6,6 +6,7 @@ A subclass imports its library only in ``prepare`` and ``run``, so a policy can 
 import importlib.util
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -174,6 +175,29 @@ class OwnTrainer(Trainer):
 
 class LibraryTrainer(Trainer):
     """A trainer of another library, with policies of linear layers."""
+
+    adapter: ClassVar[str]
+    """Module with ``run``, which takes the arguments of ``Trainer.run``; the only one that imports the library."""
+
+    def prepare(self, device: "torch.device") -> None:
+        """Import the library."""
+        del device
+        import_module(self.adapter)
+
+    def run(
+        self,
+        cfg: TrainingCfg,
+        task: "Task",
+        folder: "RunFolder",
+        progress: "Progress",
+        *,
+        keeper: "Keeper",
+        interruption: "Interruption",
+        ranks: "Ranks",
+    ) -> bool:
+        """Train with the runner of the library; return whether it was interrupted."""
+        run = import_module(self.adapter).run
+        return run(cfg, task, folder, progress, keeper=keeper, interruption=interruption, ranks=ranks)
 
     @abstractmethod
     def weights(self, model: "Mapping[str, Tensor]", num_hidden: int) -> "Weights":
