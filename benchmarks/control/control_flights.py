@@ -1,8 +1,8 @@
-"""Flights of a robot under a controller: to rest from drawn starts, a step, in wind, and with rotors at their limits.
+"""Flights of a robot under a controller: from drawn starts, after a step, in wind, and with rotors at their limits.
 
-They fly side by side in one simulation of 10 s. Environment 0 starts at rest and is given a step; the next hovers in wind; the
-next is given the step, and for the first half second everything upwards that the rotors have; the others start as a reset draws
-them (seed 0) and are told to rest. Drives of joints hold the reference pose, and that of a tail on a servo the heading.
+All fly in one simulation of 10 s. Environment 0 starts at rest and receives a step. Environment 1 hovers in wind. Environment 2
+receives the step, and full climb in the first half second. The others start as a reset draws them (seed 0), with the command to
+rest. Drives of joints hold the reference pose; the servo of a tail holds the heading.
 Backend `warp` on the CPU; the seed decides every number.
 Letters: E environments, R rotors.
 """

@@ -1,13 +1,12 @@
-"""Does the check of a robot under its controller agree with flights? Random robots, laws, effects and dead times.
+"""Comparison of the hover check of a closed loop with flights of random robots, laws, effects and dead times.
 
     python -m benchmarks.control.hover_gate [--seed 0] [--num-groups 25] [--json out.jsonl]
 
-A group is a registered robot whose mass and rotor lag are drawn, a registered law that holds a place or a velocity, a time
-step, and an effect or none. Each of its ``EACH`` vehicles draws a dead time of 0 to 50 ms and the parameters of the effect.
-Accepted is a vehicle of which ``ClosedLoop.hover`` says that it holds. It hovers if it stays within 0.1 m for 10 s when it
-begins at hover, and is there again after 10 s when it begins with a disturbance; a law that holds a velocity is to stay there
-in the last second. Flights are in float32, on the backend that a simulation takes. Combinations that are refused by name, as a
-law does not fit the rotors, are drawn again.
+A group is a registered robot with random mass and rotor lag, a registered law of position or velocity, a time step, and at most
+one effect. Each of its ``EACH`` vehicles draws a dead time of 0 to 50 ms and the parameters of the effect. ``ClosedLoop.hover``
+accepts or rejects each vehicle. A vehicle hovers if it stays within 0.1 m for 10 s from hover, and is within 0.1 m again 10 s
+after a disturbance; a law of velocity must stay there in the last second. Flights are in float32, on the backend that a
+simulation takes. Combinations that are refused by name are drawn again.
 Letters: E environments.
 """
 

@@ -1,10 +1,10 @@
-"""Failures in flight of the undeclared plant: what ``aerial-gym watch`` and ``close-loop`` make of them, and of none.
+"""Detection of failures of the undeclared plant by ``aerial-gym watch`` and ``close-loop``, and their false alarms.
 
     python -m benchmarks.scores.score_failures --seeds 901 902 903 --quiet-seeds 951 952 --effects all [--write PAGE.md]
 
-Each failing flight has one failure of a drawn kind, rotor, size and time, beside the small errors of every vehicle (nuisance);
-quiet flights have none, and with ``--effects`` a large effect that the robot file does not declare. Logs are written, and read
-row by row as a stream, and whole as for ``close-loop``.
+Each flight with a failure has one of random kind, rotor, size and time, and the small errors of every vehicle (nuisance).
+Quiet flights have none; with ``--effects`` they have a large effect that the robot file does not declare. Logs are read row by
+row as a stream, and whole as by ``close-loop``.
 """
 
 import argparse

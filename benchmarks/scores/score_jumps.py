@@ -1,12 +1,10 @@
-"""Are jumps found that are put into measured flights, and none where nothing was put?
+"""Detection of jumps and frozen sensors that are added to measured flights, and false alarms without them.
 
     python -m benchmarks.scores.score_jumps --data DATA [--sizes 0.25 0.5 1 2] [--seed 1] [--stream]
 
-DATA holds a folder for each collection of flights (docs/results/measured.md). Every flight with a position and a velocity is
-read as it is, and with a fix that moves by each size in a random direction, at a random time, for 0.5 to 4 s. Found: both
-steps, each within 0.1 s. With --stream as ``aerial-gym watch`` looks while the flight goes on, every half second, and with each
-sensor that stands still for 0.5 to 4 s, and with a fix that never returns, as well; told soon: all that was put into a flight,
-each within 10 s of its onset.
+DATA has a folder for each collection of flights (docs/results/measured.md). Each flight with position and velocity is read
+unchanged, and with a position offset of each size in a random direction, at a random time, for 0.5 to 4 s. Found means both
+steps within 0.1 s. With --stream ``Watch`` reads the flights every half second; frozen sensors and offsets that stay are added.
 """
 
 import argparse

@@ -1,11 +1,11 @@
-"""What the loop makes of measured flights.
+"""Scores of ``close-loop`` on measured flights.
 
     python -m benchmarks.scores.score_measured --data DATA [--sets arpl swarm] [--jobs 4] [--json]
 
-DATA holds a folder for each collection of flights; none of them is part of this repository (docs/results/measured.md says what
-they are and where they come from). A set trains on some flights of a collection and is judged on others; ``_back`` is the same
-the other way round. Each row: verdict, effects named with parameters, confidence and what they tie with, residuals and rollout
-errors of the test flights before and after, processor time and most memory.
+DATA has a folder for each collection of flights; none is part of this repository (docs/results/measured.md names the sources).
+A set trains on some flights of a collection and is judged on others; ``_back`` exchanges them. Each row has the verdict, the
+named effects with parameters, probabilities and rivals, residuals and rollout errors of the test flights before and after,
+processor time and peak memory.
 """
 
 import argparse

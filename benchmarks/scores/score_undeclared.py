@@ -1,14 +1,13 @@
-"""Does the loop name what the undeclared plant hides?
+"""Scores of ``close-loop`` on flights of the undeclared plant.
 
     python -m benchmarks.scores.score_undeclared --seeds 101 102 [--nuisance | --tracked | --logged] [--size moderate] [--json]
     python -m benchmarks.scores.score_undeclared --seeds 101 102 --effects all --sizes small moderate large --unknown \
         --pairs com_offset+constant_wind --jobs 8 --out out/undeclared [--write TABLE.md]
 
-Without --effects: the first six effects. One case per effect, size and seed, and controls with nothing hidden, one for each
-kind of flight that the cases need. A case whose result lies in --out already is not flown again. Each row: verdict, effects
-named, the largest distance of a parameter from the truth in standard deviations, and the largest residual of force, angular
-acceleration or rotor speed on the test flights as a multiple of its noise floor, before and after. The plant shares no code
-with the package.
+Without --effects the first six effects are hidden: one case for each effect, size and seed. Controls have nothing hidden, one
+for each kind of flight. A case whose result is in --out is not flown again. Each row has the verdict, the named effects, the
+largest error of a parameter in standard deviations, and the largest residual on the test flights as a multiple of its noise
+floor, before and after. The plant shares no code with the package.
 """
 
 import argparse
