@@ -47,9 +47,9 @@ def judge_flights(
     told = seen if failures else []
     learnt, judging = (_left_of(role, part, told) for role, part in (("train", train), ("test", test)))
     declared = declare(robot, learnt, judging, bandwidth=bandwidth, tolerances=off)
-    selected = select(declared, criteria or Criteria(), progress, candidates=effects)
+    selection = select(declared, criteria or Criteria(), progress, candidates=effects)
     give_back_memory()
-    judged = judge(selected, seed=seed, learn_residual=learn_residual, progress=progress)
+    judged = judge(declared, selection, seed=seed, learn_residual=learn_residual, progress=progress)
     give_back_memory()
     return with_failures(judged, told, len(flights)) if failures else with_suspicions(judged, seen)
 

@@ -1,11 +1,7 @@
-"""The first stages of the loop, each a value that the next one is made of: ``Declared -> Selected``.
-
-The last one, ``Judged``, stands in ``judge.analysis``.
-"""
+"""The first stages of the loop: ``Declared`` and ``SelectionResult``. The last one is ``Judged`` in ``judge.analysis``."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -14,7 +10,7 @@ from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real.identify.battery import with_battery
 from aerial_gym.sim2real.identify.least_squares.parameters import params_of, with_params
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
-from aerial_gym.sim2real.identify.selection.select import Selection, select_effects
+from aerial_gym.sim2real.identify.selection.select import SelectionResult, select_effects
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel, comparison_band, find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
@@ -67,19 +63,6 @@ class Declared:
         return self.train.tolerances
 
 
-@dataclass(frozen=True, kw_only=True)
-class Selected:
-    """The effects that the training flights ask for."""
-
-    declared: Declared
-    selection: Selection
-
-    @cached_property
-    def params(self) -> ModelParams:
-        """Return the final model as the robot file holds it."""
-        return rounded(self.declared.robot, self.selection.final.fit.params, self.selection.accepted)
-
-
 def declare(
     robot: RobotCfg, train: Sequence[Flight], test: Sequence[Flight], *, bandwidth: float, tolerances: Tolerances
 ) -> Declared:
@@ -102,16 +85,20 @@ def declare(
 
 def select(
     declared: Declared, criteria: Criteria, progress: Progress, *, candidates: Sequence[str] | None = None
-) -> Selected:
+) -> SelectionResult:
     """Return the effects that the training flights ask for, among ``candidates`` if these are given."""
 
     def told(stage: str, share: float) -> None:
         progress(stage, 0.05 + 0.65 * share)
 
-    selection = select_effects(
+    return select_effects(
         declared.train, declared.params, criteria, told, test=declared.test.flights, candidates=candidates
     )
-    return Selected(declared=declared, selection=selection)
+
+
+def named_model(declared: Declared, selection: SelectionResult) -> ModelParams:
+    """Return the final model as the robot file holds it."""
+    return rounded(declared.robot, selection.final.fit.params, selection.accepted)
 
 
 def rounded(robot: RobotCfg, params: ModelParams, effects: Sequence[str]) -> ModelParams:

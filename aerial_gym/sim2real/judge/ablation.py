@@ -14,7 +14,7 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted, label_of
 from aerial_gym.sim2real.identify.least_squares.moments import flight_of_rows, time_groups
-from aerial_gym.sim2real.identify.selection.select import Rival, Selection
+from aerial_gym.sim2real.identify.selection.select import Rival, SelectionResult
 from aerial_gym.sim2real.judge.evaluation import Evaluation, rollout_rises
 from aerial_gym.sim2real.judge.whiteness import EDGES, in_octaves, lines
 from aerial_gym.sim2real.logs.flights import Flight
@@ -111,7 +111,7 @@ def ablations(
     predictors: tuple[Predictor, Predictor],
     points: tuple[ModelParams, ModelParams],
     evaluations: tuple[Evaluation, Evaluation],
-    selection: Selection,
+    selection: SelectionResult,
 ) -> dict[str, Ablation]:
     """Return what each accepted effect is worth.
 
@@ -184,7 +184,7 @@ def judged_rises(without: RolloutErrors, errors: RolloutErrors) -> dict[float, d
     return found
 
 
-def weighed_rivals(name: str, selection: Selection, train: Predictor) -> tuple[WeighedRival, ...]:
+def weighed_rivals(name: str, selection: SelectionResult, train: Predictor) -> tuple[WeighedRival, ...]:
     """Return the others in the place of a named effect with what they explain of the training flights, best first.
 
     Each model with the deviations within the tolerances that fit best beside its effects.

@@ -11,8 +11,8 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding, unit_key
 from aerial_gym.sim2real.identify.learned import judge_on_test, train_residual
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import FARTHEST_DEVIATION
-from aerial_gym.sim2real.identify.selection.select import Selection
-from aerial_gym.sim2real.identify.stages import Declared, Selected
+from aerial_gym.sim2real.identify.selection.select import SelectionResult
+from aerial_gym.sim2real.identify.stages import Declared, named_model
 from aerial_gym.sim2real.judge.ablation import ablations
 from aerial_gym.sim2real.judge.breakdown import by_flight, where_it_acts
 from aerial_gym.sim2real.judge.decision import Decision, decide
@@ -36,7 +36,7 @@ class Judged:
     """Everything that a report shows."""
 
     declared: Declared
-    selection: Selection
+    selection: SelectionResult
     params: ModelParams
     """The final model, with what was learned."""
 
@@ -47,60 +47,62 @@ class Judged:
     verdict: Verdict
 
 
-def judge(selected: Selected, *, seed: int, learn_residual: bool, progress: Progress) -> Judged:
+def judge(
+    declared: Declared, selection: SelectionResult, *, seed: int, learn_residual: bool, progress: Progress
+) -> Judged:
     """Return what the test flights say; nothing is fitted to them.
 
     Args:
-        selected: The stage before.
+        declared: The declared robot beside the flights.
+        selection: The effects that the training flights ask for.
         seed: Of the resampling behind intervals, and of the first weights of a network.
         learn_residual: Whether a small network may be added for what no named effect explains.
         progress: Told what is being done.
     """
-    declared, selection, tested = selected.declared, selected.selection, selected.declared.test
+    tested, model = declared.test, named_model(declared, selection)
 
     progress("the noise floor of the test flights", 0.7)
-    floors = floors_in_declared_wind(declared, selected.params)
+    floors = floors_in_declared_wind(declared, model)
     still = of_all_flights(floors)
     progress("rollouts of the declared and the corrected model", 0.8)
-    pair = (declared.params, selected.params) if selection.accepted else (declared.params,)
+    pair = (declared.params, model) if selection.accepted else (declared.params,)
     evaluations = evaluate(declared.robot, tested, pair, floor=still, seed=seed)
     before, named = evaluations[0], evaluations[-1]
-    unexplained = find_unexplained(declared.train, tested, selection, (declared.params, selected.params), named, still)
-    if selection.accepted and (unexplained.left_open or unexplained.open_to):
-        selected = replace(selected, selection=with_doubt(selection, tested))
-        selection = selected.selection
+    unexplained = find_unexplained(declared.train, tested, selection, (declared.params, model), named, still)
+    doubtful = selection.accepted and (unexplained.left_open or unexplained.open_to)
+    result = with_doubt(selection, tested) if doubtful else selection
     progress("what each effect is worth", 0.93)
-    effects = judged_effects(selected, before, named, unexplained.floor, seed=seed)
+    effects = judged_effects(declared, result, model, (before, named), unexplained.floor, seed=seed)
     learned = None
     if learn_residual:
         progress("learning what remains", 0.9)
-        trained = train_residual(declared.train, selected.params, selection.left_out, seed=seed)
-        learned = judge_on_test(trained, tested, selected.params, unexplained.floor)
+        trained = train_residual(declared.train, model, result.left_out, seed=seed)
+        learned = judge_on_test(trained, tested, model, unexplained.floor)
     if learned is None or learned.effect is None:
-        params, after = selected.params, unexplained.above_its_floor(named)
+        params, after = model, unexplained.above_its_floor(named)
     else:
-        params = replace(selected.params, learned=learned.effect)
+        params = replace(model, learned=learned.effect)
         (after,) = evaluate(declared.robot, tested, [params], floor=unexplained.floor, seed=seed)
     gusts = ()
     if NAME not in declared.robot.effects and unexplained.wind.accepted:
         gusts = (unexplained.wind.named(declared.stated),)
-    made = decision(selected, unexplained, gusts)
+    made = decision(declared, result, unexplained, gusts)
     became: tuple[Outcome, ...] = ()
-    models, both, least = (declared.params, params), (before, after), selection.criteria.material
+    models, both, least = (declared.params, params), (before, after), result.criteria.material
     if effects or gusts or (learned is not None and learned.cfg is not None):
         became = outcomes(tested, models, both, least=least)
-    manoeuvre, fly_next = what_to_fly(declared, selection, unexplained.open_to)
+    manoeuvre, fly_next = what_to_fly(declared, result, unexplained.open_to)
     spectra = whiteness(tested.times, unexplained.left, declared.channels, declared.bandwidth)
     verdict = Verdict(
         verdict=made.kind,
         open_points=made.findings,
         effects=(*effects, *gusts),
         candidates=made.candidates,
-        not_testable=not_testable(selection, declared.stated, unexplained),
+        not_testable=not_testable(result, declared.stated, unexplained),
         manoeuvre=manoeuvre,
         fly_next=fly_next,
-        inclusion=selection.chosen.inclusion,
-        sets=selection.chosen.sets,
+        inclusion=result.chosen.inclusion,
+        sets=result.chosen.sets,
         structure=unexplained.structure,
         before=before,
         after=after,
@@ -110,12 +112,12 @@ def judge(selected: Selected, *, seed: int, learn_residual: bool, progress: Prog
         not_shown=unexplained.left_open,
         whiteness=dict(zip((channel.name for channel in declared.channels), spectra, strict=True)),
         learned=learned,
-        notes=notes(selected, unexplained, effects, named),
+        notes=notes(declared, result, model, unexplained, effects, named),
     )
-    accepted = (*selection.accepted, *(effect.name for effect in gusts))
+    accepted = (*result.accepted, *(effect.name for effect in gusts))
     return Judged(
         declared=declared,
-        selection=selection,
+        selection=result,
         params=params,
         within=unexplained.within,
         corrected=corrected_robot(declared, with_random(params, unexplained.wind), accepted),
@@ -145,23 +147,29 @@ def floors_with_gusts(floors: Sequence[Array | None], unexplained: Unexplained) 
 
 
 def judged_effects(
-    selected: Selected, before: Evaluation, named: Evaluation, floor: Array | None, *, seed: int
+    declared: Declared,
+    selection: SelectionResult,
+    model: ModelParams,
+    evaluations: tuple[Evaluation, Evaluation],
+    floor: Array | None,
+    *,
+    seed: int,
 ) -> tuple[NamedEffect, ...]:
     """Return the accepted effects with what each is worth on the test flights, and where it acts.
 
     ``floor`` is the noise floor of each channel with random wind in it, (C,).
     """
-    declared, selection, params = selected.declared, selected.selection, selected.params
-    test, models = declared.test, (declared.params, params)
-    worth = ablations(declared.robot, test.flights, (declared.train, test), models, (before, named), selection)
+    test, models = declared.test, (declared.params, model)
+    worth = ablations(declared.robot, test.flights, (declared.train, test), models, evaluations, selection)
     weight = selection.weights.weight
     regimes = {name: where_it_acts(test, *models, name, weight, floor, seed=seed) for name in selection.accepted}
     return named_effects(selection, worth, regimes, declared.stated)
 
 
-def decision(selected: Selected, unexplained: Unexplained, gusts: Sequence[NamedEffect]) -> Decision:
+def decision(
+    declared: Declared, selection: SelectionResult, unexplained: Unexplained, gusts: Sequence[NamedEffect]
+) -> Decision:
     """Return the decision of the verdict."""
-    declared, selection = selected.declared, selected.selection
     made = decide(
         {name: tied_rivals(name, selection) for name in selection.accepted},
         unexplained.channels,
@@ -177,36 +185,41 @@ def decision(selected: Selected, unexplained: Unexplained, gusts: Sequence[Named
 
 
 def notes(
-    selected: Selected, unexplained: Unexplained, effects: Sequence[NamedEffect], named: Evaluation
+    declared: Declared,
+    selection: SelectionResult,
+    model: ModelParams,
+    unexplained: Unexplained,
+    effects: Sequence[NamedEffect],
+    named: Evaluation,
 ) -> tuple[Finding, ...]:
     """Return the notes, the most important first; those on the logs come last.
 
     ``named`` is the evaluation of the named effects on the test flights.
     """
-    declared = selected.declared
     return (
         *rigid_notes(declared.stated),
-        *doubt_notes(selected.selection),
+        *doubt_notes(selection),
         *open_notes(unexplained),
         *unexplained.wind.notes,
         *immaterial(effects),
         *(rival.finding for effect in effects for rival in effect.in_part),
-        *strained_notes(selected, unexplained, named),
-        *surrogate_notes(selected.selection),
-        *own_notes(selected.selection),
+        *strained_notes(declared, model, selection.criteria.material, unexplained, named),
+        *surrogate_notes(selection),
+        *own_notes(selection),
         *about_logs(declared),
     )
 
 
-def strained_notes(selected: Selected, unexplained: Unexplained, named: Evaluation) -> list[Finding]:
+def strained_notes(
+    declared: Declared, model: ModelParams, least: float, unexplained: Unexplained, named: Evaluation
+) -> list[Finding]:
     """Return a note on each strained tolerance, and one on the errors that all deviations together change."""
-    declared = selected.declared
     found = declared.tolerances.strained(
-        unexplained.deviation, absent=absent_tolerances(declared, selected.params), farthest=FARTHEST_DEVIATION
+        unexplained.deviation, absent=absent_tolerances(declared, model), farthest=FARTHEST_DEVIATION
     )
     if not found:
         return []
-    least, changed = selected.selection.criteria.material, []
+    changed = []
     rms = rms_of(unexplained.left).tolist()
     for channel, value, bare in zip(declared.channels, rms, named.residual, strict=True):
         if abs(value - bare.value) > least * bare.value:
@@ -238,7 +251,7 @@ def implies_force(flight: Flight) -> bool:
     return flight.lin_vel is not None and not flight.attitude_integrated
 
 
-def own_notes(selection: Selection) -> list[Finding]:
+def own_notes(selection: SelectionResult) -> list[Finding]:
     """Return a note on the offsets that differ from flight to flight, and so belong to no vehicle."""
     offsets = [
         {"channel": one.channel, f"rms_{unit_key(UNITS[one.channel.split('.')[0]])}": one.size}
@@ -259,7 +272,7 @@ def about_logs(declared: Declared) -> list[Finding]:
     return found
 
 
-def surrogate_notes(selection: Selection) -> list[Finding]:
+def surrogate_notes(selection: SelectionResult) -> list[Finding]:
     """Return a note on each effect that lost its name to a structure."""
     return [Finding("stands_in", name, {"structure": kind}) for name, kind in selection.surrogates.items()]
 
@@ -270,7 +283,7 @@ def open_notes(unexplained: Unexplained) -> list[Finding]:
     return [Finding("left_open_note", "", {"channels": channels})] if channels else []
 
 
-def not_testable(selection: Selection, robot: RobotCfg, unexplained: Unexplained) -> dict[str, Finding]:
+def not_testable(selection: SelectionResult, robot: RobotCfg, unexplained: Unexplained) -> dict[str, Finding]:
     """Return the effects that the flights cannot show, with the reason; also look-alikes without a model.
 
     Nobody is told what to fly for soft arms of a vehicle that has none. Of one with joints no effect on links can be shown.

@@ -21,12 +21,12 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.parameters import is_number
-from aerial_gym.sim2real.identify.selection.select import Selection
+from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.judge.predictive import PASSES
 from aerial_gym.sim2real.predict.predictor import Predictor
 
 
-def with_doubt(selection: Selection, test: Predictor) -> Selection:
+def with_doubt(selection: SelectionResult, test: Predictor) -> SelectionResult:
     """Return a selection that knows how much more probable the test flights make the rivals of its names."""
     rivals = {one.fitted.label: one.fitted for name in selection.accepted for one in selection.rivals_of(name)}
     if not rivals:
@@ -36,7 +36,7 @@ def with_doubt(selection: Selection, test: Predictor) -> Selection:
     return replace(selection, doubt=dict(zip(rivals, np.maximum(gain, 0.0).tolist(), strict=True)))
 
 
-def doubt_notes(selection: Selection) -> list[Finding]:
+def doubt_notes(selection: SelectionResult) -> list[Finding]:
     """Return a note on each tie that only the test flights make."""
     return [
         Finding("doubt_by_test", name, {"other": rival.effect, "log_odds": rival.log_odds - rival.doubt})
@@ -78,7 +78,7 @@ class Left:
         return -0.5 * float(weight @ self.square - (weight @ self.gradient) @ step + surer)
 
 
-def log_densities(test: Predictor, fits: Sequence[Fitted], selection: Selection) -> Array:
+def log_densities(test: Predictor, fits: Sequence[Fitted], selection: SelectionResult) -> Array:
     """Return the log density of the test flights under each set, but for a constant that all have, (M,).
 
     A channel weighs no more than what the best of all sets leaves of it allows.
@@ -91,7 +91,7 @@ def log_densities(test: Predictor, fits: Sequence[Fitted], selection: Selection)
     return np.array([one.log_density(weight) for one in sums])
 
 
-def left_of(test: Predictor, fitted: Fitted, selection: Selection) -> Left:
+def left_of(test: Predictor, fitted: Fitted, selection: SelectionResult) -> Left:
     """Return what a set leaves of the test flights, about its most probable model with offsets of flights taken out."""
     at, offsets = fitted.within, selection.own_offsets
     predicted = test.predict(at)

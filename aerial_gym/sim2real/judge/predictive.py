@@ -21,7 +21,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import WEAK_PRIOR, 
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.least_squares.parameters import is_number
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
-from aerial_gym.sim2real.identify.selection.select import Selection
+from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.statistics import ratio_quantile
@@ -34,7 +34,7 @@ PASSES = 3
 
 
 def left_open(
-    test: Predictor, params: ModelParams, selection: Selection, fitted: Flags | None = None
+    test: Predictor, params: ModelParams, selection: SelectionResult, fitted: Flags | None = None
 ) -> tuple[Array, Array]:
     """Return the largest mean square of each channel that tolerances and named effects may leave on test flights, (C,).
 
@@ -139,7 +139,7 @@ def open_effects(
     train: Predictor,
     test: Predictor,
     models: tuple[ModelParams, ModelParams],
-    selection: Selection,
+    selection: SelectionResult,
     asked: Asked,
 ) -> tuple[str, ...]:
     """Return the effects that would make what remains and that training flights do not rule out, the best first.

@@ -11,7 +11,7 @@ import numpy as np
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.identify.candidates.structure import Structure, find_structure
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, best_step
-from aerial_gym.sim2real.identify.selection.select import Selection
+from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.judge.predictive import Asked, left_open, names_of, open_effects
 from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, declared_wind, find_random_wind
@@ -71,7 +71,7 @@ class Unexplained:
 def find_unexplained(
     train: Predictor,
     test: Predictor,
-    selection: Selection,
+    selection: SelectionResult,
     models: tuple[ModelParams, ModelParams],
     after: Evaluation,
     floor: Array | None,

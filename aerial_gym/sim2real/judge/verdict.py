@@ -17,7 +17,7 @@ from aerial_gym.sim2real.identify.candidates.structure import Structure
 from aerial_gym.sim2real.identify.learned import Learned
 from aerial_gym.sim2real.identify.least_squares.parameters import is_number, params_of, scales
 from aerial_gym.sim2real.identify.selection.in_part import RivalInPart
-from aerial_gym.sim2real.identify.selection.select import Selection
+from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.judge.ablation import Ablation
 from aerial_gym.sim2real.judge.breakdown import Part, Regime
 from aerial_gym.sim2real.judge.evaluation import Evaluation
@@ -216,7 +216,7 @@ def rotor_place(name: str, params: Array, robot: RobotCfg) -> str:
 
 
 def named_effects(
-    selection: Selection, ablations: dict[str, Ablation], regimes: dict[str, Regime], robot: RobotCfg
+    selection: SelectionResult, ablations: dict[str, Ablation], regimes: dict[str, Regime], robot: RobotCfg
 ) -> tuple[NamedEffect, ...]:
     """Return the accepted effects of a declared robot with parameters, intervals, confidence, ablation and regime."""
     fit, spread, inclusion = selection.final.fit, selection.final.spread, selection.chosen.inclusion
@@ -268,6 +268,6 @@ def immaterial(effects: Sequence[NamedEffect]) -> list[Finding]:
     return notes
 
 
-def tied_rivals(name: str, selection: Selection) -> list[str]:
+def tied_rivals(name: str, selection: SelectionResult) -> list[str]:
     """Return the registered effects that cannot be told from an accepted one."""
     return [rival.effect for rival in selection.ties_of(name)]

@@ -9,7 +9,7 @@ from aerial_gym.physics import vehicle_from_config
 from aerial_gym.sim2real.identify.candidates.library import neutral_of
 from aerial_gym.sim2real.identify.candidates.structure import rows_of, world_forces
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted
-from aerial_gym.sim2real.identify.selection.select import Selection
+from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.outcome import SAME
 from aerial_gym.sim2real.predict.channels import KINEMATIC, Channel
@@ -130,7 +130,7 @@ def remaining(judged: Judged) -> list[tuple[Channel, list[plots.Rest]]]:
     return found
 
 
-def closest(selection: Selection) -> list[Fitted]:
+def closest(selection: SelectionResult) -> list[Fitted]:
     """Return the most probable fitted sets of one effect each, which were not named; none whose fit went nowhere."""
     fits = [one for one in selection.chosen.fits if len(one.effects) == 1 and not one.structures]
     return [one for one in fits if np.isfinite(one.log_posterior)][:MOST_REJECTED]

@@ -6,7 +6,7 @@ import numpy as np
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.selection.select import Selection
+from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.judge.outcome import BETTER, NOT_SHOWN, SAME, WORSE, Outcome
@@ -141,7 +141,7 @@ def rollout_rows(verdict: Verdict, variant: str, *, intervals: bool = True) -> l
     return rows
 
 
-def unnamed_rows(selection: Selection) -> list[dict[str, str]]:
+def unnamed_rows(selection: SelectionResult) -> list[dict[str, str]]:
     """Return one row per effect that is not named: what speaks for it, and why it is not; the most probable first."""
     chosen, reasons = selection.chosen, dict(selection.not_testable)
     for name, odds in chosen.adds.items():

@@ -99,7 +99,8 @@ def decimals(half_width: float | None) -> int | None:
 def round_value(value: float, half_width: float | None) -> str:
     """Return a value with the decimals that its half width allows."""
     places = decimals(half_width)
-    return f"{value:.3g}" if places is None else f"{value:.{places}f}"
+    text = f"{value:.3g}" if places is None else f"{value:.{places}f}"
+    return text.removeprefix("-") if float(text) == 0.0 else text
 
 
 def tolerance(half_width: float | None, unit: str) -> str:

@@ -15,7 +15,7 @@ from aerial_gym.sim2real.identify.evidence.laplace import Posterior
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.selection.choose import Chosen
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, LeftOut, Scored
-from aerial_gym.sim2real.identify.selection.select import Selection
+from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from tests.unit.sim2real.flat_flights import ROBOT
 
@@ -95,10 +95,10 @@ def chosen_of(best: Fitted, *others: Fitted, named: Fitted | None = None, **foun
 
 def selection_of(
     chosen: Chosen, final: Scored | None = None, not_testable: dict[str, Finding] | None = None
-) -> Selection:
+) -> SelectionResult:
     """Return the selection with a choice."""
     scored = final or cast("Scored", SimpleNamespace(effects=chosen.effects))
-    return Selection(
+    return SelectionResult(
         declared=scored,
         final=scored,
         chosen=chosen,

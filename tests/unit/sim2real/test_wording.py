@@ -96,6 +96,7 @@ def test_units_end_keys(unit: str, key: str) -> None:
         (5.513, 0.14, "5.51 ± 0.14"),
         (1234.0, 30.0, "1234 ± 30"),
         (0.04, 0.002, "0.040 ± 0.002"),
+        (-0.01, 0.5, "0.0 ± 0.5"),
     ],
 )
 def test_values_have_the_digits_that_their_intervals_allow(value: float, half_width: float, shown: str) -> None:

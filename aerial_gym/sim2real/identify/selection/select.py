@@ -61,7 +61,7 @@ def offered_effects() -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Selection:
+class SelectionResult:
     """What the flights ask for."""
 
     declared: Scored
@@ -140,7 +140,7 @@ def select_effects(
     *,
     test: Sequence[Flight] = (),
     candidates: Sequence[str] | None = None,
-) -> Selection:
+) -> SelectionResult:
     """Return the effects that the training flights ask for, on top of the declared model.
 
     Args:
@@ -176,7 +176,7 @@ def select_effects(
     scorer = _Scorer(predictor, declared, criteria, chosen)
     final, chosen = scorer.final()
     unseen = {name: Finding("not_excited", name) for name in chosen.hidden if name not in chosen.effects}
-    return Selection(
+    return SelectionResult(
         declared=scorer.nothing,
         final=final,
         chosen=chosen,

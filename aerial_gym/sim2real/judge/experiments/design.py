@@ -29,7 +29,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
 )
 from aerial_gym.sim2real.identify.least_squares.parameters import is_number
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
-from aerial_gym.sim2real.identify.selection.select import Rival, Selection
+from aerial_gym.sim2real.identify.selection.select import Rival, SelectionResult
 from aerial_gym.sim2real.identify.stages import Declared
 from aerial_gym.sim2real.judge.experiments.manoeuvres import MANOEUVRES, SPAN_S, fly
 from aerial_gym.sim2real.logs.flights import Flight
@@ -71,7 +71,7 @@ class Advice:
 class Catalogue:
     """The manoeuvres that a vehicle can fly, with the sensors and the noise of the flights at hand."""
 
-    def __init__(self, train: Predictor, selection: Selection) -> None:
+    def __init__(self, train: Predictor, selection: SelectionResult) -> None:
         """Take the predictor of the training flights, whose log says what is measured."""
         rate = max(SLOWEST_HZ, ROWS_PER_BAND * train.bandwidth)
         flights = [fly(name, train.robot, train.flights[0], rate=rate) for name in MANOEUVRES]
@@ -134,7 +134,7 @@ class Catalogue:
         return Advice(fly=name, tells=tells, score=float(scores[best]), hover=float(scores[still]))
 
 
-def what_tells(catalogue: Catalogue, selection: Selection, tied: dict[str, list[Rival]]) -> Advice | None:
+def what_tells(catalogue: Catalogue, selection: SelectionResult, tied: dict[str, list[Rival]]) -> Advice | None:
     """Return the manoeuvre that tells all tied effects apart best; None if there are none.
 
     ``tied`` has the effects that cannot be told from each accepted one.
@@ -148,7 +148,7 @@ def what_tells(catalogue: Catalogue, selection: Selection, tied: dict[str, list[
     return catalogue.advise(np.min(scores, axis=0), tuple(dict.fromkeys(names))) if scores else None
 
 
-def showable(selection: Selection, robot: RobotCfg, flights: Sequence[Flight]) -> list[str]:
+def showable(selection: SelectionResult, robot: RobotCfg, flights: Sequence[Flight]) -> list[str]:
     """Return the effects that the flights do not show and that others of this vehicle could."""
     return [
         name
@@ -157,7 +157,7 @@ def showable(selection: Selection, robot: RobotCfg, flights: Sequence[Flight]) -
     ]
 
 
-def fits_vehicle(name: str, selection: Selection, robot: RobotCfg) -> bool:
+def fits_vehicle(name: str, selection: SelectionResult, robot: RobotCfg) -> bool:
     """Return whether a vehicle may have an effect: soft arms only where its file or the flights give it some."""
     if not isinstance(EFFECTS.get(name), ArmJoint):
         return True
@@ -165,7 +165,7 @@ def fits_vehicle(name: str, selection: Selection, robot: RobotCfg) -> bool:
 
 
 def what_shows(
-    catalogue: Catalogue, selection: Selection, declared: ModelParams, hidden: Sequence[str]
+    catalogue: Catalogue, selection: SelectionResult, declared: ModelParams, hidden: Sequence[str]
 ) -> dict[str, Advice]:
     """Return the manoeuvre that shows each of some effects which the flights do not show."""
     final = selection.final
@@ -174,7 +174,7 @@ def what_shows(
 
 
 def what_to_fly(
-    declared: Declared, selection: Selection, open_to: Sequence[str]
+    declared: Declared, selection: SelectionResult, open_to: Sequence[str]
 ) -> tuple[Advice | None, dict[str, Advice]]:
     """Return the manoeuvre that tells tied candidates apart, and those that show what the flights do not.
 

@@ -35,12 +35,10 @@ def notes_of(size: float, left: list[float]) -> list[Finding]:
     declared = SimpleNamespace(
         tolerances=Tolerances(), train=SimpleNamespace(flights=[hover("a", 5.0)]), stated=ROBOT, channels=FORCES
     )
-    selected = SimpleNamespace(
-        declared=declared, params=SimpleNamespace(effects={}), selection=SimpleNamespace(criteria=Criteria())
-    )
+    model, least = SimpleNamespace(effects={}), Criteria().material
     unexplained = SimpleNamespace(deviation=deviation, left=[np.outer([1.0, -1.0], left)])
     named = SimpleNamespace(residual=[SimpleNamespace(value=0.2)] * 3)
-    return strained_notes(selected, unexplained, named)  # type: ignore[arg-type]
+    return strained_notes(declared, model, least, unexplained, named)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from aerial_gym.sim2real.identify.evidence.fitting import Fitted
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen
 from aerial_gym.sim2real.identify.selection.choose import BLIND
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, Scored
-from aerial_gym.sim2real.identify.selection.select import Selection, _Scorer, select_effects
+from aerial_gym.sim2real.identify.selection.select import SelectionResult, _Scorer, select_effects
 from aerial_gym.sim2real.judge.verdict import tied_rivals
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.predict.channels import find_channels
@@ -37,7 +37,7 @@ def selected(
     robot: RobotCfg = ROBOT,
     seconds: float = 12.0,
     **hidden: Any,
-) -> Selection:
+) -> SelectionResult:
     """Return what four flights with sensor noise ask for, when only some effects are looked for."""
     logs = [flight(seed, seconds=seconds, rate=100.0, noise=1.0, **hidden) for seed in range(4)]
     predictor = predictor_of(folder, [change(log) for log in logs], robot)
