@@ -19,26 +19,13 @@ Ends = tuple[Vec3, Vec3]
 class GainRanges:
     """What a class of gains says."""
 
-    position: Ends
-    """[1/s²]."""
-
-    velocity: Ends
-    """[1/s]."""
-
-    attitude: Ends
-    """[N m/rad]."""
-
-    rate: Ends
-    """[N m s/rad]."""
-
-    max_yaw_rate: float
-    """[rad/s]."""
-
-    max_inclination: float
-    """[rad]."""
-
-    randomize: bool = False
-    """Whether a reset draws between the ends; else the middle holds."""
+    position: Ends  # [1/s²]
+    velocity: Ends  # [1/s]
+    attitude: Ends  # [N m/rad]
+    rate: Ends  # [N m s/rad]
+    max_yaw_rate: float  # [rad/s]
+    max_inclination: float  # [rad]
+    randomize: bool = False  # Whether a reset draws between the ends; else the middle holds
 
     def explicit(self, source: str) -> LeeGainsCfg:
         """Return the middle of each range."""

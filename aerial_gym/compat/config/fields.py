@@ -87,14 +87,9 @@ def kept(theirs: str, ours: str, read: Callable[[Any], object], remark: str = ""
 class Table:
     """All attributes of one family of configuration classes."""
 
-    kind: str
-    """What the classes are, as messages call them."""
-
-    fields: tuple[Field, ...]
-    """Attributes that are known."""
-
-    idle_sections: Mapping[str, str]
-    """Nested classes of which no attribute means anything here, and why."""
+    kind: str  # What the classes are, as messages call them
+    fields: tuple[Field, ...]  # Attributes that are known
+    idle_sections: Mapping[str, str]  # Nested classes of which no attribute means anything here, and why
 
     def class_of(self, name: str, cfg: object, *, parent: type | None = None) -> type:
         """Return a configuration class that stands for one of our configurations.

@@ -309,11 +309,8 @@ def types_of(model: Model) -> RotorTypes:
 class Pick:
     """Access to the values of one effect."""
 
-    get: wp.Function
-    """``wp.func`` (values of all effects) -> parameters and memory of this effect: vector of P + M."""
-
-    put: wp.Function
-    """``wp.func`` (values of all, vector of P + M) -> values of all with this memory."""
+    get: wp.Function  # `wp.func` (values of all effects) -> parameters and memory of this effect: vector of P + M
+    put: wp.Function  # `wp.func` (values of all, vector of P + M) -> values of all with this memory
 
 
 def num_values(model: Model) -> tuple[int, int]:
