@@ -44,23 +44,16 @@ class Block:
 
     @property
     def runs(self) -> bool:
-        """Whether a test runs it, here or in the slow suite."""
-        if self.is_result:
-            return self.mark == "compare"
-        return (self.language in ("python", "sh") and not self.mark.startswith("not run: ")) or self.mark.startswith(
-            "file: "
-        )
-
-    @property
-    def is_result(self) -> bool:
-        """Whether it stands on a page of results."""
-        return DOCS / "results" in self.page.parents
+        """Whether the tests run or write it, fast or slow; commands of results are compared instead."""
+        if DOCS / "results" in self.page.parents or self.mark.startswith("not run: "):
+            return False
+        return self.language in ("python", "sh") or self.mark.startswith("file: ")
 
 
 def blocks_of(page: Path) -> list[Block]:
     fences = r"(?:^ *<!-- ([^\n]*?) -->\n+)?^ *```(\w*)[^\n]*\n(.*?)^ *```"
-    found = re.findall(fences, page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-    return [Block(page, mark if mark.startswith(MARKS) else "", language, text) for mark, language, text in found]
+    fields = re.findall(fences, page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    return [Block(page, mark if mark.startswith(MARKS) else "", language, text) for mark, language, text in fields]
 
 
 def name_of(page: Path) -> str:
