@@ -61,10 +61,10 @@ def _holds_itself(value: object, around: set[int], done: set[int]) -> bool:
     if id(value) in around:
         return True
     around.add(id(value))
-    found = any(_holds_itself(one, around, done) for one in (value.values() if isinstance(value, dict) else value))
+    nested = any(_holds_itself(one, around, done) for one in (value.values() if isinstance(value, dict) else value))
     around.remove(id(value))
     done.add(id(value))
-    return found
+    return nested
 
 
 def summary_in(path: str | Path) -> str:

@@ -108,11 +108,11 @@ def write_policy(policy: Policy, layout: Layout, out: Path, to: Iterable[str], *
     with told_storage(out):
         out.mkdir(parents=True, exist_ok=True)
     layout.write(out)
-    found = []
+    files = []
     for each in (wanted := list(to)):
         file = FORMATS[each](flown, layout, out)
-        found.append(_checked(each, file, lambda file: compare(flown, layout, file), check))
-    return found + (_encoders(layout.encoder, layout, out, wanted, check=check) if sees_latents(layout) else [])
+        files.append(_checked(each, file, lambda file: compare(flown, layout, file), check))
+    return files + (_encoders(layout.encoder, layout, out, wanted, check=check) if sees_latents(layout) else [])
 
 
 def sees_latents(layout: Layout) -> bool:

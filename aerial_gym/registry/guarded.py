@@ -28,7 +28,7 @@ class GuardedTensor(Tensor):
     __torch_function__ = torch._C._disabled_torch_function_impl  # pyright: ignore[reportAssignmentType]
 
     @staticmethod
-    def of(plain: Tensor, before: Callable[[], None], after: Callable[[], None]) -> "GuardedTensor":
+    def wrap(plain: Tensor, before: Callable[[], None], after: Callable[[], None]) -> "GuardedTensor":
         """Return a guarded tensor in the memory of a plain one."""
         made = Tensor._make_subclass(GuardedTensor, plain)
         made._plain, made._before, made._after = plain, before, after
@@ -55,7 +55,7 @@ class GuardedTensor(Tensor):
         return result if source is None else tree_map(source._beside, result)
 
     def _beside(self, made: Any) -> Any:
-        return GuardedTensor.of(made, self._before, self._after) if isinstance(made, Tensor) else made
+        return GuardedTensor.wrap(made, self._before, self._after) if isinstance(made, Tensor) else made
 
     def numpy(self, *, force: bool = False) -> np.ndarray:
         """Return an array of the same memory that refuses writes."""

@@ -77,11 +77,11 @@ class GlobalTensorDictionary(Mapping[str, Tensor]):
     def refuse(self, key: str, instead: str) -> None:
         """Refuse writes to a key from now on; ``instead`` tells what to do in place of one."""
         self._instead[key] = instead
-        self._guarded[key] = GuardedTensor.of(self.plain(key), partial(self._refuse_write, key), _do_nothing)
+        self._guarded[key] = GuardedTensor.wrap(self.plain(key), partial(self._refuse_write, key), _do_nothing)
 
     def watch(self, key: str, notice: Callable[[], None]) -> None:
         """Call ``notice`` after each write to a key from now on."""
-        self._guarded[key] = GuardedTensor.of(self.plain(key), _do_nothing, notice)
+        self._guarded[key] = GuardedTensor.wrap(self.plain(key), _do_nothing, notice)
 
     def _refuse_write(self, key: str) -> NoReturn:
         raise OwnershipError(f"GTD key {key!r} is read-only: {self._instead[key]}")

@@ -115,9 +115,9 @@ class TrainingCfg:
 
     def section(self, kind: type[Section]) -> Section:
         """Return the settings of the learner, which must be of class ``kind``."""
-        found = self.learner
-        assert isinstance(found, kind)
-        return found
+        settings = self.learner
+        assert isinstance(settings, kind)
+        return settings
 
     def __post_init__(self) -> None:
         require_positive(self, "checkpoint_every_s")

@@ -122,7 +122,7 @@ class Checked:
     crashes: Tensor  # Set where there are any, bool (E,)
 
     @classmethod
-    def nothing(cls, state: BodyState) -> "Checked":
+    def placeholder(cls, state: BodyState) -> "Checked":
         """Return tensors that nobody reads."""
         rows, device = state.num_envs, state.position.device
         return cls(
@@ -150,7 +150,7 @@ class DerivedStates:
         """Take the motion that is read, the tensors (E, 3), (E, 4) and (E, 13) that are written, and what tells bad rows."""
         start_warp()
         self._like = state.position
-        self._checked = checked = checked or Checked.nothing(state)
+        self._checked = checked = checked or Checked.placeholder(state)
         self.arrays = make_struct(
             DerivedArrays,
             ang_vel_world=ang_vel_world,

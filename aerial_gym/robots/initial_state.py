@@ -168,7 +168,7 @@ class InitialState:
             noticed: What becomes of rows that were not finite, and what is cleared.
         """
         self._mask = random.mask
-        noticed = noticed or Noticed.nothing(state)
+        noticed = noticed or Noticed.placeholder(state)
         given = make_struct(
             StartArrays,
             random=random_arrays(random),

@@ -52,14 +52,14 @@ class Noticed:
         return self.found[1:].view(KEPT_ROWS, 4)
 
     @classmethod
-    def of(cls, gtd: GlobalTensorDictionary) -> "Noticed":
+    def from_gtd(cls, gtd: GlobalTensorDictionary) -> "Noticed":
         """Return what belongs to the rows of a simulation."""
         found = torch.zeros(1 + 4 * KEPT_ROWS, dtype=torch.int32, device=gtd.device)
         flags = gtd["crashes"], gtd["truncations"]
         return cls(bits=gtd["non_finite"], episode_step=gtd["sim_steps"], flags=flags, found=found)
 
     @classmethod
-    def nothing(cls, state: BodyState) -> "Noticed":
+    def placeholder(cls, state: BodyState) -> "Noticed":
         """Return tensors that say that everything is finite."""
         device = state.position.device
         zeros, no = (torch.zeros(state.num_envs, dtype=dtype, device=device) for dtype in (torch.int32, torch.bool))

@@ -131,7 +131,7 @@ class RobotManager:
         self.backend.prepare(sim.dt)
         rest_speed = hover_speed(self.declared, sim.gravity)
         self.tensors.state.rotor_speed.copy_(rest_speed)
-        self.noticed = Noticed.of(gtd)
+        self.noticed = Noticed.from_gtd(gtd)
         """Rows that were not finite."""
         self._initial = InitialState(
             robot.initial_state,

@@ -45,11 +45,11 @@ class SceneMotion:
 @wp.func
 def _shallowest(pairs: TouchingPairs) -> int:
     """Return the entry of the smallest overlap, an empty one if there is any."""
-    found = wp.int32(0)
+    entry = wp.int32(0)
     for i in range(1, MAX_CONTACTS):
-        if pairs.gaps[i] > pairs.gaps[found]:
-            found = i
-    return found
+        if pairs.gaps[i] > pairs.gaps[entry]:
+            entry = i
+    return entry
 
 
 @wp.func
@@ -204,11 +204,11 @@ def come_fast(pairs: TouchingPairs, lin_vel: wp.vec3, turn: wp.vec3, least_appro
 
     ``lin_vel`` is that of the point from which levers are counted, ``turn`` the angular velocity, both world.
     """
-    found = wp.bool(False)
+    fast = wp.bool(False)
     for i in range(MAX_CONTACTS):
         approach = wp.dot(pairs.normals[i], pairs.surface_vels[i] - point_velocity(lin_vel, turn, pairs.levers[i]))
-        found = found or (pairs.gaps[i] < 0.0 and approach >= least_approach)
-    return found
+        fast = fast or (pairs.gaps[i] < 0.0 and approach >= least_approach)
+    return fast
 
 
 def scene_motion(scene: Scene) -> SceneMotion:

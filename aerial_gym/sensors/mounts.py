@@ -39,7 +39,7 @@ class Pose:
     position: Tensor  # [m], (3,)
     attitude: Tensor  # To the body, xyzw, unit, (4,)
 
-    def of(self, position: Tensor, attitude: Tensor) -> tuple[Tensor, Tensor]:
+    def transform(self, position: Tensor, attitude: Tensor) -> tuple[Tensor, Tensor]:
         """Return where what stands at ``position`` (..., 3) and ``attitude`` (..., 4) of this frame is in the body frame."""
         turn = self.attitude.to(attitude).expand_as(attitude)
         return self.position.to(position) + quat_rotate(turn, position), quat_multiply(turn, attitude)

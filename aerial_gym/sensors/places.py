@@ -109,7 +109,7 @@ def place_range(cfg: PlacementCfg, nominal: Pose) -> PlaceRange:
     What is drawn deviates from there as it deviates from the nominal placement in the sensor's file.
     """
     place, back = PlaceRange(), nominal_pose(cfg).inverse()
-    shift, turn = nominal.of(back.position, back.attitude)
+    shift, turn = nominal.transform(back.position, back.attitude)
     place.position, place.attitude = wp.vec3(*nominal.position.tolist()), wp.quat(*nominal.attitude.tolist())
     place.shift, place.turn = wp.vec3(*shift.tolist()), wp.quat(*turn.tolist())
     for name in ("position", "euler"):

@@ -158,9 +158,9 @@ class RayCaster:
         if self._scan is None:
             parts = [make_tiles(direction, height=height, width=width) for direction in directions]
         else:
-            found = [self._scan.make_tiles(direction, height=height, width=width) for direction in directions]
-            parts = [tiles for tiles, _ in found]
-            rays.group = wp.from_torch(found[0][1])
+            tilings = [self._scan.make_tiles(direction, height=height, width=width) for direction in directions]
+            parts = [tiles for tiles, _ in tilings]
+            rays.group = wp.from_torch(tilings[0][1])
         tiles, rays.num_tiles, rays.frame = stacked(parts), parts[0].num_tiles, wp.from_torch(self._frames.number)
         rays.direction, rays.pixel = wp.from_torch(tiles.direction, dtype=wp.vec3), wp.from_torch(tiles.pixel)
         rays.middle = wp.from_torch(tiles.middle, dtype=wp.vec3)

@@ -157,7 +157,7 @@ def _without_gradient(term: BoundTerm, values: Values, *, jumps: bool, seen: tup
         if sensed or name in UNTRACED or (jumps and name != "begun" and values[name].dtype == torch.bool):
             return name
         if name in values.updates and name not in seen:
-            found = _without_gradient(values.updates[name], values, jumps=jumps, seen=(*seen, name))
-            if found is not None:
-                return found
+            source = _without_gradient(values.updates[name], values, jumps=jumps, seen=(*seen, name))
+            if source is not None:
+                return source
     return None

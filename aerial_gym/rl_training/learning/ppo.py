@@ -107,7 +107,7 @@ class Samples:
     memory: Tensor
     """What was remembered before the first step, (E, M)."""
 
-    def of(self, environments: Tensor) -> "Samples":
+    def select(self, environments: Tensor) -> "Samples":
         """Return those of some environments, int64 (E',)."""
         prepared, in_time = (
             {name: value.index_select(1, environments) for name, value in values.items()}
@@ -245,7 +245,7 @@ class Ppo(Learner):
 
     def _gradient(self, samples: Samples, chosen: Tensor, old_log_std: Tensor) -> tuple[Tensor, Tensor]:
         """Return the gradient of the loss (P,) over the samples of some environments, (E',); divergence and losses, (3,)."""
-        ppo, part = self._ppo, samples.of(chosen)
+        ppo, part = self._ppo, samples.select(chosen)
         old = part.in_time
         distribution, value = self.network.sequence(part.prepared, part.memory, old["begins"])
         log_ratio = distribution.log_prob(old["action"]) - old["log_prob"]

@@ -214,11 +214,11 @@ def run_folder_of(checkpoint: str | Path) -> RunFolder:
 
 
 def _versions() -> dict[str, str]:
-    found = {}
+    versions = {}
     libraries = (TRAINERS.get(name).distribution for name in TRAINERS)
     for name in (*PACKAGES, *filter(None, libraries)):
         try:
-            found[name] = metadata.version(name)
+            versions[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+            versions[name] = "not installed"
+    return versions

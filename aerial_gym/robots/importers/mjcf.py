@@ -266,9 +266,9 @@ class _Reader:
         if around := [g for g in range(m.ngeom) if g not in self._geoms()]:
             yield f"geoms of other bodies: {', '.join(m.geom(g).name or f'geom_{g}' for g in around)}"
         for kind, count, name in _OTHERS:
-            found = range(int(getattr(m, count)))
-            if found:
-                yield f"{kind}: {', '.join(getattr(m, name)(i).name or f'{name}_{i}' for i in found)}"
+            indices = range(int(getattr(m, count)))
+            if indices:
+                yield f"{kind}: {', '.join(getattr(m, name)(i).name or f'{name}_{i}' for i in indices)}"
 
 
 _OTHERS = (

@@ -192,14 +192,14 @@ class _Reader:
     def _tilts(self, rotor: FoundRotor) -> Callable[[str], bool]:
         """Return the test of whether a joint on the way to a rotor moves its thrust line."""
 
-        def of(joint: str) -> bool:
+        def tilts_rotor(joint: str) -> bool:
             axis, place = (
                 self.from_root[:3, :3] @ self.tree.axis(joint),
                 (self.from_root @ self.tree.pose(joint))[:3, 3],
             )
             return tilts(rotor, self.tree.joints[joint].get("type", ""), axis, place)
 
-        return lambda joint: self._moves(joint) and of(joint)
+        return lambda joint: self._moves(joint) and tilts_rotor(joint)
 
     def losses(self) -> Iterator[str]:
         """Yield wings and joints without which the vehicle flies otherwise."""
@@ -232,22 +232,22 @@ class _Reader:
                     yield shape
 
     def _shape(self, collision: Element, link: str, pose: np.ndarray) -> CollisionShape | None:
-        found = geometry_of(collision)
+        geometry = geometry_of(collision)
         at = f"{self.tree.where}: collision of {link}"
-        if found is None or found.tag not in (*SIZES, "mesh"):
+        if geometry is None or geometry.tag not in (*SIZES, "mesh"):
             return None
-        if found.tag == "mesh":
-            return self._around_mesh(found, collision, link, pose)
-        sizes = lengths(found, at)
-        if found.tag in ("ellipsoid", "cone"):
+        if geometry.tag == "mesh":
+            return self._around_mesh(geometry, collision, link, pose)
+        sizes = lengths(geometry, at)
+        if geometry.tag in ("ellipsoid", "cone"):
             around = (
-                [2.0 * r for r in sizes] if found.tag == "ellipsoid" else [2.0 * sizes[0], 2.0 * sizes[0], sizes[1]]
+                [2.0 * r for r in sizes] if geometry.tag == "ellipsoid" else [2.0 * sizes[0], 2.0 * sizes[0], sizes[1]]
             )
             return _box(pose, np.zeros(3), np.array(around))
         shape = (
             ShapeCfg(kind="box", size=vec3(sizes))
-            if found.tag == "box"
-            else ShapeCfg(kind=found.tag, radius=sizes[0], height=None if found.tag == "sphere" else sizes[1])
+            if geometry.tag == "box"
+            else ShapeCfg(kind=geometry.tag, radius=sizes[0], height=None if geometry.tag == "sphere" else sizes[1])
         )
         return shape_of(PartCfg(shape=shape, position=vec3(pose[:3, 3]), euler=roll_pitch_yaw(pose[:3, :3])))
 

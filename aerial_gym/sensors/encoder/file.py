@@ -89,10 +89,10 @@ class Encoder(nn.Module):
 
     def check_fits(self, cfg: RangeSensorCfg, *, name: str, what: str) -> None:
         """Raise ``ConfigError`` if the sensor ``name`` has other images; ``what`` names the encoder."""
-        found = seen_by(cfg)
-        if found != self.seen:
+        actual = seen_by(cfg)
+        if actual != self.seen:
             raise ConfigError(
-                f"{what}: knows images of {self.seen}; sensor {name} has {found}. Choose the robot of its training, "
+                f"{what}: knows images of {self.seen}; sensor {name} has {actual}. Choose the robot of its training, "
                 f"{self.trained.get('robot', '?')}, or another encoder. {HOW} --robot ROBOT"
             )
 

@@ -122,8 +122,8 @@ class Actor:
         command = self.transform(action, **self.params)
         if self._line.length:
             frames = self._line.frames(values[LINE], command, begun)
-            found[LINE] = self._line.kept(frames)
-            command = self._line.shown(frames, values[DELAY][:, 0] if self._drawn else None)
+            found[LINE] = self._line.next_line(frames)
+            command = self._line.read_frames(frames, values[DELAY][:, 0] if self._drawn else None)
         if self._gain is not None:
             before = torch.where(begun.unsqueeze(-1), command, values[FILTERED])
             command = before + self._gain * (command - before)

@@ -116,7 +116,7 @@ class NamedRows:
         return dict(zip(self._results, results, strict=True))
 
     def _with_gradients(self, graph: Graph, changing: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        values = {**graph.of(self._reads), **changing}
+        values = {**graph.select(self._reads), **changing}
         found = self._gradient_rows(*(values[name] for name in self._names))
         results = dict(zip(self._results, found, strict=True))
         with torch.no_grad():
@@ -154,7 +154,7 @@ class NamedRows:
     def _traces(self, term: BoundTerm) -> bool:
         names, tensors = term.reads, [self._reads[name] for name in term.reads]
         try:
-            trace(lambda *given: term.of(dict(zip(names, given, strict=True))), tensors)
+            trace(lambda *given: term.evaluate(dict(zip(names, given, strict=True))), tensors)
         except UntraceableError as error:
             if all(
                 tensor[:1].numel() <= LARGEST_ROW for tensor in tensors if tensor.ndim
@@ -167,6 +167,6 @@ class NamedRows:
         tensors = [values[name] for name in term.reads]
         first = next(iter(self._reads.values()))
         whole = on_whole_vectors(
-            lambda *given: term.of(dict(zip(term.reads, given, strict=True))), first.shape[0], first.device
+            lambda *given: term.evaluate(dict(zip(term.reads, given, strict=True))), first.shape[0], first.device
         )
         return whole(*tensors)

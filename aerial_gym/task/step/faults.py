@@ -39,7 +39,7 @@ class Faults:
             shares += [(0.0, 1.0), *[(-cfg.size, cfg.size)] * width]
         self._draws: list[UniformDraws] = []
         self.reads: dict[str, Tensor] = {}
-        """What ``shown`` reads."""
+        """What ``apply_fault`` reads."""
         if not ranges:
             return
         steps = values.declare(STEPS, (len(ranges),), unit="steps", meaning="when faults begin, how long they last")
@@ -53,7 +53,7 @@ class Faults:
         for each in self._draws:
             each.draw(mask)
 
-    def shown(self, cfg: ObservationCfg, values: Mapping[str, Tensor], value: Tensor) -> Tensor:
+    def apply_fault(self, cfg: ObservationCfg, values: Mapping[str, Tensor], value: Tensor) -> Tensor:
         """Return what a term shows, (E, width), of its value likewise: a pure function."""
         if cfg.fault is None:
             return value

@@ -160,7 +160,7 @@ class Judge:
     def _judgement(self, given: Mapping[str, Tensor]) -> dict[str, Tensor]:
         moved = self._command.at(given)
         values = {**given, **moved}
-        finite, observed, _ = self._observer.found(values, None)
+        finite, observed, _ = self._observer.observe(values, None)
         ends = self._ends(values)
         terms, reward = self._reward(values, ends)
         bits = (
@@ -200,7 +200,7 @@ class Judge:
 
     def _ends(self, values: Mapping[str, Tensor]) -> Ends:
         no = torch.zeros_like(values["crashes"])
-        flags = {name: term.of(values) for name, (term, _) in self._terminations.items()}
+        flags = {name: term.evaluate(values) for name, (term, _) in self._terminations.items()}
         entries = {name: cfg for name, (_, cfg) in self._terminations.items()}
 
         def any_of(kind: str | None, when: str, *, bootstraps: bool | None = None) -> Tensor:
@@ -244,7 +244,7 @@ class Judge:
 
     def _reward(self, values: Mapping[str, Tensor], ends: Ends) -> tuple[Tensor, Tensor]:
         """Return the terms, (E, T), and their sum, (E,)."""
-        plain = {name: term.of(values) for name, (term, _) in self._rewards.items()}
+        plain = {name: term.evaluate(values) for name, (term, _) in self._rewards.items()}
         no_reward = torch.zeros_like(ends.crash, dtype=next(iter(plain.values())).dtype)
         weighed: dict[str, Tensor] = {}
         for name, (_, cfg) in self._rewards.items():

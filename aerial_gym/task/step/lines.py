@@ -41,7 +41,7 @@ class Line:
         most = max(1, LARGEST_ROW // width)
         return [min(most, self.length - first) for first in range(0, self.length, most)]
 
-    def shown(self, frames: list[Tensor], delay: Tensor | None) -> Tensor:
+    def read_frames(self, frames: list[Tensor], delay: Tensor | None) -> Tensor:
         """Return what is shown of the frames, (E, history w).
 
         Args:
@@ -58,6 +58,6 @@ class Line:
             found.append(late)
         return torch.cat(found, dim=-1) if len(found) > 1 else found[0]
 
-    def kept(self, frames: list[Tensor]) -> Tensor:
+    def next_line(self, frames: list[Tensor]) -> Tensor:
         """Return the line as the next step finds it, (E, m w)."""
         return torch.cat(frames[1:], dim=-1)

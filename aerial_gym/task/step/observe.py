@@ -39,7 +39,7 @@ class Entry:
     def noisy(self, values: Mapping[str, Tensor], begun: Tensor | None) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
         """Return whether the term is finite, bool (E,), its value with noise and dropout, zeros where not, (E, width), and what
         is held as the next step finds it."""
-        value = self.term.of(values)
+        value = self.term.evaluate(values)
         finite, value = value.isfinite().all(dim=-1), value.nan_to_num(0.0, 0.0, 0.0)
         if self.noise is None:
             return finite, value, {}
@@ -58,7 +58,7 @@ class Entry:
         value = torch.where(there, value, torch.where(age <= self.cfg.hold_steps, last, self.cfg.dropout_value))
         return finite, value, dict(zip(self.held, (value, age), strict=True))
 
-    def shown(
+    def delay_value(
         self, values: Mapping[str, Tensor], value: Tensor, begun: Tensor | None
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the observation of a value, (E, history width), and its buffers as the next step finds them."""
@@ -67,8 +67,8 @@ class Entry:
             past = torch.cat([values[name] for name in self.past], dim=-1)
             frames = self.line.frames(past, value, begun)
             widths = [count * self.width for count in self.line.pieces(self.width)]
-            kept = dict(zip(self.past, self.line.kept(frames).split(widths, dim=-1), strict=True))
-            value = self.line.shown(frames, None if self.delay is None else values[DELAYS][:, self.delay])
+            kept = dict(zip(self.past, self.line.next_line(frames).split(widths, dim=-1), strict=True))
+            value = self.line.read_frames(frames, None if self.delay is None else values[DELAYS][:, self.delay])
         return value if self.cfg.scale == 1.0 else self.cfg.scale * value, kept
 
 
@@ -131,7 +131,7 @@ class Observer:
         """Lines, and what is held."""
         self.reads = {NOISE: self._noise.noise, DELAYS: delays} | self._faults.reads | self.writes
         self.reads |= values.read_by(*self.terms)
-        """What ``found`` reads."""
+        """What ``observe`` reads."""
         begun = {"begun": values.find("begun", "the observation")}
         self._rows = NamedRows(
             self._after,
@@ -166,7 +166,7 @@ class Observer:
         results = self._rows()
         return {group: results[group] for group in self.groups}
 
-    def found(
+    def observe(
         self, values: Mapping[str, Tensor], begun: Tensor | None
     ) -> tuple[Tensor, dict[str, Tensor], dict[str, Tensor]]:
         """Return whether all terms are finite, bool (E,), the observations by group, and ``writes``, as a pure function.
@@ -180,8 +180,8 @@ class Observer:
             parts = []
             for entry in entries:
                 finite, value, held = entry.noisy(values, begun)
-                value = self._faults.shown(entry.cfg, values, value)
-                part, line = entry.shown(values, value, begun)
+                value = self._faults.apply_fault(entry.cfg, values, value)
+                part, line = entry.delay_value(values, value, begun)
                 flags.append(finite)
                 parts.append(part)
                 lines |= line | held
@@ -189,5 +189,5 @@ class Observer:
         return torch.stack(flags, dim=-1).all(dim=-1), shown, lines
 
     def _after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        _, shown, lines = self.found(values, values["begun"])
+        _, shown, lines = self.observe(values, values["begun"])
         return lines | shown

@@ -19,7 +19,7 @@ def make_memory(command: Command, values: Values) -> NamedRows | None:
     def remembered(given: Mapping[str, Tensor]) -> dict[str, Tensor]:
         found = command.after(given)
         for name, term in updates.items():
-            found[name] = term.of({**given, **found})
+            found[name] = term.evaluate({**given, **found})
         return found
 
     names = (*command.after(values), *updates)

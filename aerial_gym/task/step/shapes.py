@@ -45,7 +45,7 @@ def check_truth(term: BoundTerm, values: Mapping[str, Tensor], *, rows: int) -> 
 
 def _called(term: BoundTerm, values: Mapping[str, Tensor]) -> Tensor:
     try:
-        return term.of(values)
+        return term.evaluate(values)
     except Exception as error:
         reason = (str(error).strip().splitlines() or [""])[0]
         raise ConfigError(f"{term.label}: cannot be computed ({type(error).__name__}: {reason})") from error

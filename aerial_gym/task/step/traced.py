@@ -22,7 +22,7 @@ class Graph:
         self._own: dict[str, Tensor] = {}
         self._places: dict[str, Tensor] = {}
 
-    def of(self, reads: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def select(self, reads: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return these tensors with their gradients where they have any, and copies of the others."""
         motion = self._simulation.traced
         found: dict[str, Tensor] = {}

@@ -60,7 +60,7 @@ class BoundTerm:
     params: Mapping[str, Any]
     reads: tuple[str, ...] = field(default=())
 
-    def of(self, values: Mapping[str, Tensor]) -> Tensor:
+    def evaluate(self, values: Mapping[str, Tensor]) -> Tensor:
         """Return its value; where one stands ready under its label, that one."""
         ready = values.get(self.label)
         if ready is not None:

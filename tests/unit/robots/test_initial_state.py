@@ -110,7 +110,7 @@ def test_what_follows_from_the_motion_is_written_with_it() -> None:
 
 def noticed(num_envs: int) -> Noticed:
     """Return rows that ended in every way, with marks in all."""
-    made = Noticed.nothing(state_at_rest(num_envs, 4, device=torch.device("cpu"), dtype=torch.float32))
+    made = Noticed.placeholder(state_at_rest(num_envs, 4, device=torch.device("cpu"), dtype=torch.float32))
     marks = torch.arange(num_envs, dtype=torch.int32)
     return replace(made, bits=marks % 2, episode_step=7 + marks, flags=(marks >= 0, marks >= 0))
 

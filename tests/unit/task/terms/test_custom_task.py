@@ -32,7 +32,7 @@ def test_the_example_flies_and_learns_from_its_own_terms() -> None:
     x, y, z, w = attitude.unbind(-1)
     nose = torch.stack((1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)), dim=-1)
     cosine = ((nose * way).sum(-1) / way.norm(dim=-1)).clamp_min(0.0)
-    found = task_registry.make_task(EXAMPLE, num_envs=3, device="cpu")._judge._rewards["nose"][0].of(task.values)
+    found = task_registry.make_task(EXAMPLE, num_envs=3, device="cpu")._judge._rewards["nose"][0].evaluate(task.values)
     torch.testing.assert_close(found, cosine)
 
 

@@ -22,7 +22,7 @@ def test_a_signature_says_what_is_read_and_taken() -> None:
     assert term.summary == "Return a coordinate, stretched."
     bound = bind(term, {"by": "2e0", "axis": 1}, "it")
     assert bound.params == {"by": 2.0, "axis": 1}
-    assert bound.of({"robot_position": torch.tensor([[1.0, 3.0, 0.0]])}).tolist() == [6.0]
+    assert bound.evaluate({"robot_position": torch.tensor([[1.0, 3.0, 0.0]])}).tolist() == [6.0]
 
 
 @pytest.mark.parametrize(
