@@ -12,9 +12,9 @@ import pytest
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen
-from aerial_gym.sim2real.identify.selection.choose import BLIND
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, Scored
 from aerial_gym.sim2real.identify.selection.select import SelectionResult, _Scorer, select_effects
 from aerial_gym.sim2real.judge.verdict import tied_rivals
@@ -251,6 +251,6 @@ def test_an_effect_of_which_the_last_fit_shows_no_parameter_has_no_name() -> Non
     scored, chosen = given.final()
     assert scored.fit.params is drag.params
     assert chosen.effects == ("rotor_drag",)
-    assert chosen.refused == {"com_offset": BLIND}
+    assert chosen.refused == {"com_offset": Finding("parameters_unknown", "com_offset")}
     assert chosen.without["rotor_drag"].effects == ()
     assert chosen.without["rotor_drag"].params.effects["com_offset"].tolist() == [0.0, 0.0, 0.0]
