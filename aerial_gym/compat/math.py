@@ -68,7 +68,7 @@ def get_euler_xyz_tensor(q: Tensor) -> Tensor:
 
 
 def get_euler_xyz(q: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the same as three tensors (...,)."""
+    """Return roll, pitch and yaw [rad] of quaternions as three tensors (...,)."""
     roll, pitch, yaw = euler_from_quat(q).unbind(-1)
     return roll, pitch, yaw
 

@@ -216,7 +216,7 @@ class _Finder(MetaPathFinder):
 
 
 def resolve(place: str) -> Any:
-    """Return what stands at ``module:expression`` below ``aerial_gym.compat``: a name, an entry of a table, or a call."""
+    """Return the object ``module:expression`` below ``aerial_gym.compat``: a name, a table entry, or the result of a call."""
     module, _, expression = place.partition(":")
     home = import_module(_HOME + module)
     for opening, closing in (("[", "]"), ("(", ")")):

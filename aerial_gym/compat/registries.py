@@ -46,7 +46,7 @@ class _Names:
         return sorted({*self._own, *self.built_in, *self.ours})
 
     def _find(self, name: str) -> Any:
-        """Return what the script has registered under a name, None for one of ours; raise ``UnknownNameError`` for neither."""
+        """Return the script's entry of a name, None for a name of this package; else raise ``UnknownNameError``."""
         if name in self._own:
             return self._own[name][1]
         if name in self.built_in or name in self.ours:
@@ -207,7 +207,7 @@ class ControllerRegistry(_Names):
         return name if classes is None else controllers.controller_of(*classes)
 
     def drawn_gains(self, name: str) -> Randomize:
-        """Return what is drawn of the gains of a controller, by the names of ``randomize:``."""
+        """Return the random gains of a controller, by the names of ``randomize:``."""
         classes = self._classes(name)
         return {} if classes is None else controllers.drawn_gains(*classes)
 

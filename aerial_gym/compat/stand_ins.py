@@ -39,7 +39,7 @@ class Wrapper(gymnasium.Env):
 
 
 def _gym() -> dict[str, ModuleType]:
-    """Return what stands for ``gym`` and ``gym.spaces``."""
+    """Return the replacements of ``gym`` and ``gym.spaces``, built from Gymnasium."""
     gym = ModuleType("gym")
     gym.__dict__.update({**vars(gymnasium), "__name__": "gym", "Wrapper": Wrapper})
     return {"gym": gym, "gym.spaces": gymnasium.spaces}

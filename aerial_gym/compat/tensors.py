@@ -42,7 +42,7 @@ def _gravity(env: EnvManager) -> Tensor:
 
 
 def _distances(env: EnvManager) -> Tensor:
-    """Return what the first sensor writes there in its place for distances."""
+    """Return the first sensor's image that this key holds in that simulator: normals, points or distances."""
     for key in ("normal_pixels", "point_cloud_pixels"):
         if key in env.gtd:
             return env.gtd[key]

@@ -106,7 +106,7 @@ class CollisionCfg:
     """Where the numbers come from."""
 
     def on(self, link: str) -> tuple[CollisionShape, ...]:
-        """Return those on a link."""
+        """Return the shapes on a link."""
         return tuple(shape for shape in self.shapes if shape.link == link)
 
     @property

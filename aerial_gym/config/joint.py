@@ -248,7 +248,7 @@ class JointsCfg:
         return (BASE, *self.names)
 
     def rigid_note(self, consequence: str) -> str:
-        """Return how a command says that it takes the vehicle as rigid, and what follows from that."""
+        """Return a note that a command treats the vehicle as rigid, with the consequence."""
         return (
             f"its joints ({', '.join(self.names)}) are held in the reference pose here, and the vehicle taken as rigid: "
             f"{consequence} (docs/guides/articulated_vehicles.md)"

@@ -213,7 +213,7 @@ def _convert_scalar(hint: Any, value: Any, where: str) -> Any:
 
 
 def shown(value: object) -> str:
-    """Return how a message shows a value: as Python writes it, cut off where that is long or cannot be written at all."""
+    """Return the Python text of a value for messages, shortened to ``LONGEST_SHOWN`` characters."""
     try:
         text = repr(value)
     except (ValueError, RecursionError):  # an integer of thousands of digits, brackets in brackets

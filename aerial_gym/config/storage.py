@@ -55,7 +55,7 @@ def write_archive(path: str | Path, payload: Mapping[str, object]) -> None:
 
 
 def read_archive(path: str | Path, what: str) -> dict[str, Any]:
-    """Return what ``write_archive`` wrote, on the CPU; ``what`` is named in errors. Nothing in the file is run.
+    """Return the content of an archive by ``write_archive``, on the CPU, without running code from the file.
 
     Raises:
         ConfigError: If there is no such file, it is damaged, or it holds anything but tensors, numbers and text.
@@ -101,7 +101,7 @@ def told_storage(where: str | Path, *, only_full: bool = False) -> Iterator[None
 
 
 def storage_sentence(error: OSError, where: str | Path | None = None) -> str:
-    """Return what a person reads of a file that could not be written, and the way out."""
+    """Return the message for a failed write, with the remedy."""
     name = error.filename if where is None else where
     place = "" if name is None else f"{name}: "
     if error.errno in FULL:

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 def _name_in(registry: Registry[Any], entry: RobotCfg | ControllerCfg) -> str:
-    """Return how people call a configuration: its registered name, else its summary."""
+    """Return a configuration's registered name, else its summary."""
     return next((repr(name) for name in registry if registry.get(name) is entry), repr(entry.summary))
 
 
@@ -342,7 +342,7 @@ class EnvManager:
             self._collision.measure()
 
     def draws(self) -> dict[str, Tensor]:
-        """Return what the present episodes have drawn, by the names of quantities, (E, ...): factors, offsets or values."""
+        """Return the draws of the present episodes by quantity, (E, ...): factors, offsets or values."""
         return self.robot_manager.draws() | self.sensor_manager.draws() | self.imus.draws()
 
     def state_tensors(self) -> dict[str, Tensor]:

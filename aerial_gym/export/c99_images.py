@@ -68,7 +68,7 @@ def _pixel(image: SeenImage) -> tuple[str, str]:
 
 
 def told(image: SeenImage) -> str:
-    """Return what the header says of an image."""
+    """Return the header's comment on an image."""
     channels, rows, columns = image.shape
     written = "floor(255 share + 0.5)" if image.dtype == "uint8" else "the share itself"
     return (

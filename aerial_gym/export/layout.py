@@ -88,7 +88,7 @@ class Layout:
 
     @classmethod
     def read(cls, folder: Path) -> "Layout":
-        """Return what stands beside an exported policy.
+        """Return the layout in the folder of an exported policy.
 
         Raises:
             ConfigError: If there is none, or it is not one.

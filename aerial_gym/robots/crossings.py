@@ -93,7 +93,7 @@ def _core_at(shape: Shape, other: Path, own: BodyShape, path: Path, t: float) ->
 
 @wp.func
 def _depth_along(core: Core, normal: wp.vec3) -> float:
-    """Return how far a core reaches from its centre along a direction, or against it [m]."""
+    """Return the half extent of a core along a direction [m], the support function of a box."""
     own = wp.quat_rotate_inv(core.turn, normal)
     return wp.dot(core.half, wp.vec3(wp.abs(own[0]), wp.abs(own[1]), wp.abs(own[2])))
 
@@ -234,7 +234,7 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
         least_approach: float,
         found: Crossing,
     ):
-        """Return the same of a part, face by face of a mesh."""
+        """Return the earlier of two crossings as ``meet_solid`` does, for a part; of a mesh, over all its faces."""
         solid = shape
         crashes = wp.bool(False)
         before = wp.vec4()
@@ -346,7 +346,10 @@ def make_find_stop(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
         env: int,
         done: Substep,
     ) -> Stop:
-        """Return where the robot stops; ``hull`` is the radius [m] of a ball about its origin. Obstacles have not moved yet."""
+        """Return the pose at which obstacles stop the robot; they stand as before the substep.
+
+        ``hull`` is the radius [m] of a ball about the robot's origin that holds its shapes.
+        """
         stop = Stop()
         stop.position = done.position
         stop.attitude = done.attitude

@@ -97,17 +97,17 @@ class DifferentiableBackend:
         self._inner.prepare(dt)
 
     def state_tensors(self) -> dict[str, Tensor]:
-        """Return what must be kept to go on, by name; gradients end here."""
+        """Return the tensors of a saved state, by name; gradients end here."""
         self.detach()
         graph = vars(self.state) | dict(zip(("action", "previous_action"), self.actions, strict=True))
         return self._inner.state_tensors() | {f"graph.{name}": rows for name, rows in graph.items()}
 
     def parameter_rows(self, model: Model) -> tuple[Tensor, ...]:
-        """Return what the inner backend keeps for each environment, in its float type."""
+        """Return the parameters of the inner backend for each environment, in its float type."""
         return tuple(rows.to(self._dtype) for rows in self._inner.parameter_rows(model))
 
     def parameter_targets(self) -> tuple[Tensor, ...]:
-        """Return where it keeps that."""
+        """Return the tensors that ``parameter_rows`` is copied into."""
         return self._inner.parameter_targets()
 
     def advance(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> BodyState:

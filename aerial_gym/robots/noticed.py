@@ -1,4 +1,4 @@
-"""Which rows were not finite: a count and the first ones, written where such rows are reset, in the launch that resets them.
+"""Rows with NaN or infinite values: their count and the first ones, written by the launch that resets them.
 
 Letters: E environments, K rows written down.
 """
@@ -18,7 +18,7 @@ KEPT_ROWS = 8
 
 @wp.func
 def take_place(count_out: wp.array[wp.int32]) -> int:
-    """Count a row and return how many were before it; the count stays at 2**30, far from wrapping round."""
+    """Count a row and return the count before it, which stops at 2**30 to avoid overflow."""
     if count_out[0] >= 1073741824:
         return 1073741824
     return wp.atomic_add(count_out, 0, 1)
@@ -26,24 +26,23 @@ def take_place(count_out: wp.array[wp.int32]) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class Noticed:
-    """What the reset looks at and writes."""
+    """Table of rows with NaN or infinite values, and the flags that fill it."""
 
     bits: Tensor
     """Bits of ``NonFinite`` of the step that ends, int32 (E,)."""
 
     episode_step: Tensor
-    """Which step of the episode that is, int32 (E,)."""
+    """Number of that step within the episode, int32 (E,)."""
 
     flags: tuple[Tensor, Tensor]
-    """What ended it, ``crashes`` and ``truncations``, each bool (E,). These and the two above begin anew with an episode."""
+    """Reasons for its end: ``crashes`` and ``truncations``, each bool (E,). A reset clears these and the two above."""
 
     found: Tensor
-    """Count, and environment, episode, step and bits of the first K rows, side by side: one copy brings them to the host,
-    int32 (1 + 4 K,)."""
+    """Count; environment, episode, step and bits of the first K rows, int32 (1 + 4 K,); one copy brings all to the host."""
 
     @property
     def count(self) -> Tensor:
-        """Rows so far, (1,)."""
+        """Number of such rows, (1,)."""
         return self.found[:1]
 
     @property
@@ -53,14 +52,14 @@ class Noticed:
 
     @classmethod
     def from_gtd(cls, gtd: GlobalTensorDictionary) -> "Noticed":
-        """Return what belongs to the rows of a simulation."""
+        """Return an empty table that reads the flags of a simulation."""
         found = torch.zeros(1 + 4 * KEPT_ROWS, dtype=torch.int32, device=gtd.device)
         flags = gtd["crashes"], gtd["truncations"]
         return cls(bits=gtd["non_finite"], episode_step=gtd["sim_steps"], flags=flags, found=found)
 
     @classmethod
     def placeholder(cls, state: BodyState) -> "Noticed":
-        """Return tensors that say that everything is finite."""
+        """Return a table for robots without a simulation, whose rows are all finite."""
         device = state.position.device
         zeros, no = (torch.zeros(state.num_envs, dtype=dtype, device=device) for dtype in (torch.int32, torch.bool))
         found = torch.zeros(1 + 4 * KEPT_ROWS, dtype=torch.int32, device=device)

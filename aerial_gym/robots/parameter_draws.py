@@ -25,7 +25,7 @@ below zero by round-off. It widens what is known exactly by a thousandth of the 
 
 
 def joint_factor(cfg: Randomize) -> tuple[tuple[str, ...], np.ndarray]:
-    """Return which quantities are drawn together, and the lower Cholesky factor of their correlations, (N, N).
+    """Return the names of correlated quantities and the lower Cholesky factor of their correlations, (N, N).
 
     Raises:
         ConfigError: If one of them is not drawn, not a normal single number, or if the correlations contradict each other.
@@ -55,7 +55,7 @@ def joint_factor(cfg: Randomize) -> tuple[tuple[str, ...], np.ndarray]:
 
 @dataclass(frozen=True, kw_only=True)
 class Drawn:
-    """A quantity that is drawn, and where its numbers stand."""
+    """A randomised quantity and its columns among the K numbers."""
 
     name: str  # Of the quantity
     cfg: RandomizeCfg  # How it is drawn
@@ -65,13 +65,13 @@ class Drawn:
 
 @wp.struct
 class Draw:
-    """Limits of one number."""
+    """Distribution parameters and limits of one number."""
 
     low: wp.float32  # of the number; of its logarithm; of the normal probability
     high: wp.float32
     mean: wp.float32
     std: wp.float32
-    least: wp.float32  # what round-off may not leave
+    least: wp.float32  # limits that rounding must not exceed
     most: wp.float32
 
 
@@ -171,7 +171,7 @@ def _lines(drawn: Sequence[Drawn], joint_columns: Sequence[int]) -> Iterator[str
 
 
 def _stream(name: str) -> int:
-    """Return what tells quantities apart, by their names."""
+    """Return the random stream of a quantity: the CRC32 of its name."""
     return crc32(name.encode()) & 0x7FFFFFFF
 
 

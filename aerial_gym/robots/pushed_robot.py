@@ -1,4 +1,4 @@
-"""What pushes a robot, as a backend is told it: the ground, and obstacles after each substep.
+"""Contact forces on a robot in the form that a backend takes: ground, and obstacles after each substep.
 
 Letters: E environments, C collision spheres.
 """
@@ -21,7 +21,7 @@ from aerial_gym.robots.surroundings import Surroundings
 
 
 class Pushing:
-    """Ground and obstacles of one robot; without ``contact`` the ground is told when it is touched, and nothing pushes."""
+    """Ground and obstacles of one robot; without ``contact`` they report a touch and exert no force."""
 
     def __init__(self, robot: RobotCfg, gtd: GlobalTensorDictionary, around: Surroundings) -> None:
         """Declare the contact force where there is one.
@@ -51,7 +51,7 @@ class Pushing:
         ))  # fmt: skip
 
     def ground(self) -> Ground | None:
-        """Return the ground; without one of a robot that bends among obstacles, one that is infinitely far below."""
+        """Return the ground, None without one; among obstacles a robot with joints gets one at minus infinity."""
         height = self._around.ground_height
         if height is None and (self._on_links is None or self._on_links.solids is None):
             return None
@@ -65,7 +65,7 @@ class Pushing:
         )
 
     def hook(self, state: BodyState, sim: SimCfg, *, mass: Tensor, inertia: Tensor, com: Tensor) -> SubstepHook | None:
-        """Return what follows each substep: obstacles that push, or else what the surroundings ask for.
+        """Return the hook after each substep: contact with obstacles, else the hook of the surroundings.
 
         Args:
             mass: [kg], (E,).

@@ -56,7 +56,7 @@ def check_names(cfg: Randomize, known: Sequence[str]) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Followed:
-    """What follows from draws."""
+    """Vehicle, effect parameters and gains that follow from draws."""
 
     vehicle: Vehicle  # With the drawn quantities, before the effects
     params: tuple[Tensor, ...]  # Parameters (E, P) of every effect
@@ -128,7 +128,7 @@ class Randomized:
             values[:, each.columns] = 1.0 if how == "scale" else 0.0 if how == "offset" else value.flatten()
 
     def follow(self, values: Tensor, *params: Tensor, vehicle: Vehicle | None = None) -> Followed:
-        """Return what follows from draws (E, K) and the present parameters (E, P) of all effects.
+        """Return vehicle, effect parameters and gains for draws (E, K) and the present parameters (E, P) of all effects.
 
         Args:
             vehicle: As declared, with tensors on the device; if not given, it is made of plain numbers.
@@ -189,7 +189,7 @@ class Randomized:
         return (1, *full[1:]) if rotor and not cfg.each_rotor else full
 
     def _declared_of(self, name: str, cfg: RandomizeCfg) -> list[float] | float:
-        """Return what is declared of a quantity, in the shape of its draw."""
+        """Return the declared value of a quantity, in the shape of its draw."""
         family, *rest = name.split(".", 2)
         if family == "effects":
             return self._params[rest[0]][[p.name for p in self._parameters[rest[0]]].index(rest[1])]

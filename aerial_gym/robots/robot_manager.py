@@ -222,11 +222,11 @@ class RobotManager:
         return randomized
 
     def draws(self) -> dict[str, Tensor]:
-        """Return what the present episodes have drawn, by the names of quantities, (E, ...)."""
+        """Return the draws of the present episodes by quantity, (E, ...)."""
         return {} if self._randomized is None else self._randomized.views(self._gtd["drawn_parameters"])
 
     def _sources(self) -> tuple[Tensor, ...]:
-        """Return what decides the parameters of each environment: draws, parameters of effects, the scene that they feel."""
+        """Return the inputs of each environment's parameters: draws, effect parameters and the scene that effects read."""
         drawn = () if self._randomized is None else (self._values,)
         return (*drawn, *(params for _, params in self._effects), *self.felt.sources)
 
@@ -292,7 +292,7 @@ class RobotManager:
         return found
 
     def _targets(self) -> list[Tensor]:
-        """Return where they are kept."""
+        """Return the tensors that receive the results of ``_rows``, in that order."""
         found = [] if self._allocation is None else [*self._allocation.rows.values()]
         if self._randomized is not None:
             found += [self._effects[i][1] for i in self._randomized.drawn_effects]
@@ -302,7 +302,7 @@ class RobotManager:
         return found
 
     def _make_update(self) -> MaskedRows | None:
-        """Return what draws parameters and initial state of the environments of a mask in one launch; None if no parameter."""
+        """Return the launch that draws parameters and initial state for a mask; None without random parameters."""
         if self._randomized is None:
             return None
 
@@ -342,7 +342,7 @@ class RobotManager:
         return moved
 
     def state_tensors(self) -> dict[str, Tensor]:
-        """Return what must be kept to go on beside the GTD, by name."""
+        """Return the tensors of a saved state beside the GTD, by name."""
         drawn = [] if self._randomized is None else self._randomized.drawn_gains
         kept = {name: self.controller.gains_by_name[name] for name in drawn}
         rows = {} if self._allocation is None else self._allocation.rows

@@ -70,7 +70,7 @@ class SceneSurroundings:
 
 @wp.struct
 class MovingSurroundings:
-    """The same with obstacles that move."""
+    """``SceneSurroundings`` with moving obstacles."""
 
     around: SceneSurroundings
     obstacles: Obstacles
@@ -205,7 +205,7 @@ def _make_push(*, moves: bool, cores: bool, meshes: bool) -> wp.Kernel:
 
 @dataclass(frozen=True, kw_only=True)
 class PushedRobot:
-    """The tensors of the robot that is pushed; they must stay where they are."""
+    """Tensors of the robot in contact; they keep their memory."""
 
     mass: Tensor  # [kg], (E,)
     inertia: Tensor  # About the centre of mass [kg m²], body, (E, 3, 3)
@@ -270,7 +270,7 @@ class SceneContact:
         self._command: RecordedLaunch | None = None
 
     def fused(self) -> FusedHook:
-        """Return the same as Warp code."""
+        """Return this hook as Warp code for a fused kernel."""
         struct, function = _hook_of(**self._kinds)
         return FusedHook(struct, self._data, function)
 

@@ -1,4 +1,4 @@
-"""The watch over rows that are not finite: names the first, and keeps the last steps of some if it was asked to.
+"""Reports of rows with NaN or infinite values: the first by name, and on request a record of their last steps.
 
 The host looks at what a reset noticed when it may without waiting; keeping is one launch at the end of a step.
 Letters: E environments, N numbers kept of a step, K rows kept.
@@ -153,9 +153,9 @@ class Watch:
             self._steps.zero_()
 
     def look(self, *, wait: bool = False) -> int:
-        """Return how many rows the host knows of, and warn of the first one once.
+        """Return the number of non-finite rows known to the host, and warn once of the first.
 
-        On a GPU the numbers are those of some steps ago, unless ``wait``: nothing is waited for.
+        Without ``wait`` a GPU is not waited for: the number is that of some steps ago.
         """
         if self._device.type != "cpu":
             self._looks += 1

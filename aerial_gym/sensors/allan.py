@@ -48,7 +48,7 @@ def allan_deviation(samples: Tensor, dt: float) -> tuple[Tensor, Tensor]:
 
 
 def record_at_rest(cfg: ImuCfg, *, num_sensors: int, num_samples: int, dt: float, seed: int) -> Tensor:
-    """Return what IMUs that lie still and level measure [m/s², rad/s], every ``dt`` [s], float32, (T, S, 6)."""
+    """Return measurements [m/s², rad/s] of IMUs at rest and level, every ``dt`` [s], float32, (T, S, 6)."""
     attitude = torch.zeros(num_sensors, 4)
     attitude[:, 3] = 1.0
     still, measurement = torch.zeros(num_sensors, 3), torch.zeros(num_sensors, 6)

@@ -13,7 +13,7 @@ CLOCK_MARGIN = 1e-4
 
 
 def steps_of(latency_s: float, dt: float) -> int:
-    """Return how many steps of ``dt`` [s] late something appears, rounded to whole ones."""
+    """Return a latency in steps of ``dt`` [s], rounded to a whole number."""
     return round(latency_s / dt)
 
 
@@ -50,7 +50,7 @@ class DelayLine:
             self._started.logical_or_(mask)
 
     def state_tensors(self) -> dict[str, Tensor]:
-        """Return what must be kept to go on, by name."""
+        """Return the tensors of a saved state, by name."""
         kept = {f"{i}.{age}": image for i, (_, _, ages) in enumerate(self._pairs) for age, image in enumerate(ages)}
         return {"started": self._started, **kept}
 

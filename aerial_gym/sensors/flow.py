@@ -105,7 +105,7 @@ def flow_of(flow: Flow, env: int, mount: int, pixel: int, ray: wp.vec3, distance
 
 
 def make_flow(cfg: RangeSensorCfg, scene: Scene) -> Flow:
-    """Return what the kernel of a camera needs to write its flow."""
+    """Return the input struct of a camera's optical-flow kernel."""
     device, mounts = wp.device_from_torch(scene.device), scene.num_envs * cfg.count
     table = flow_table(cfg, device=scene.device).view(-1, 2, 3)
     flow = Flow()

@@ -63,7 +63,7 @@ class Unit:
 
 @wp.struct
 class Motion:
-    """What the IMU is fixed to."""
+    """Motion of the body or link that carries the IMU."""
 
     attitude: wp.array[wp.quat]  # (E,) body to world, xyzw
     lin_vel: wp.array[wp.vec3]  # (E,) of the body origin, world [m/s]
@@ -75,7 +75,7 @@ class Motion:
 
 @wp.struct
 class Outputs:
-    """What a sample and a reset write."""
+    """Arrays that a sample and a reset write."""
 
     sample: wp.array[wp.int32]  # (E,) counted from the reset on
     point_vel: wp.array[wp.vec3]  # (E,) world [m/s]
@@ -129,7 +129,7 @@ def _point_velocity(motion: Motion, position: wp.vec3, e: int) -> wp.vec3:
 
 @wp.func
 def _felt(motion: Motion, unit: Unit, e: int, first: int, true: wp.vec3) -> wp.vec3:
-    """Return what effects of the robot make of a vector in body axes; their offset and columns begin at ``first``."""
+    """Return a vector in body axes after the robot's IMU errors, ``M v + b``; rows ``first`` on hold b and the columns of M."""
     if not unit.errs:
         return true
     gain = wp.matrix_from_cols(motion.errors[e, first + 1], motion.errors[e, first + 2], motion.errors[e, first + 3])
@@ -338,7 +338,7 @@ class Imu:
         )
 
     def state_tensors(self) -> dict[str, Tensor]:
-        """Return what must be kept to go on, by name."""
+        """Return the tensors of a saved state, by name."""
         return {
             "bias": self.bias,
             "mount_position": self.mount_position,

@@ -76,11 +76,11 @@ class ImuSet:
             )
 
     def state_tensors(self) -> dict[str, Tensor]:
-        """Return what must be kept to go on, by name."""
+        """Return the tensors of a saved state, by name."""
         return {name: t for key, imu in self.imus.items() for name, t in below(key, imu.state_tensors()).items()}
 
     def draws(self) -> dict[str, Tensor]:
-        """Return where IMUs sit whose places are drawn: position [m], body, (E, 3), and attitude, IMU to body, (E, 4)."""
+        """Return the poses of IMUs with random placement: position [m], body, (E, 3); attitude, IMU to body, (E, 4)."""
         found = {}
         for name, imu in self.imus.items():
             if imu.is_drawn:

@@ -40,7 +40,7 @@ class Pose:
     attitude: Tensor  # To the body, xyzw, unit, (4,)
 
     def transform(self, position: Tensor, attitude: Tensor) -> tuple[Tensor, Tensor]:
-        """Return where what stands at ``position`` (..., 3) and ``attitude`` (..., 4) of this frame is in the body frame."""
+        """Return position (..., 3) and attitude (..., 4) of this frame in the body frame."""
         turn = self.attitude.to(attitude).expand_as(attitude)
         return self.position.to(position) + quat_rotate(turn, position), quat_multiply(turn, attitude)
 
@@ -96,7 +96,7 @@ def nominal_pose(cfg: SensorCfg) -> Pose:
 
 
 def mount_pose(mount: SensorMountCfg, cfg: SensorCfg) -> Pose | None:
-    """Return where a mount holds a sensor; what it does not say is as in the sensor's file, None if it says nothing."""
+    """Return the pose of a mount, completed from the sensor's file; None for a mount without a pose."""
     if mount.position is None and mount.euler is None and mount.quaternion is None:
         return None
     pose = nominal_pose(cfg)

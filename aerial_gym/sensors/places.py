@@ -1,4 +1,4 @@
-"""Where the sensors of one kind sit on the body: the same place always, or drawn at every reset.
+"""Poses of the sensors of one kind on the body: constant, or drawn at every reset.
 
 Frames: body is x forward, y left, z up. Letters: E environments, S sensors of one kind.
 """
@@ -17,7 +17,7 @@ from aerial_gym.sensors.mounts import Pose, nominal_pose
 
 @wp.struct
 class PlaceRange:
-    """Where sensors are, and within what they are drawn."""
+    """Nominal pose of sensors and the range of its draws."""
 
     position: wp.vec3  # body [m], where nothing is drawn
     attitude: wp.quat  # sensor to body
@@ -54,7 +54,7 @@ def _place_sensors(
     position_out: wp.array2d[wp.vec3],  # (E, S) body [m]
     attitude_out: wp.array2d[wp.quat],  # (E, S) sensor to body, xyzw
 ):
-    """Write new places where the mask says so; leave every other row alone."""
+    """Draw the sensor poses of masked environments."""
     env, sensor = wp.tid()
     if not mask[env]:
         return
@@ -65,7 +65,7 @@ def _place_sensors(
 
 
 class Places:
-    """Places of the sensors of one kind, with all views made at construction."""
+    """Poses of the sensors of one kind, with all views made at construction."""
 
     def __init__(self, cfg: RangeSensorCfg, random: Randomness, *, number: int, pose: Pose | None) -> None:
         """Put every sensor at its nominal place.
@@ -104,9 +104,9 @@ class Places:
 
 
 def place_range(cfg: PlacementCfg, nominal: Pose) -> PlaceRange:
-    """Return what a kernel must know of a place: that of a sensor which is at ``nominal`` in the body frame.
+    """Return the kernel's struct for the pose range of a sensor at ``nominal`` in the body frame.
 
-    What is drawn deviates from there as it deviates from the nominal placement in the sensor's file.
+    Draws deviate from ``nominal`` as in the sensor's file from its nominal placement.
     """
     place, back = PlaceRange(), nominal_pose(cfg).inverse()
     shift, turn = nominal.transform(back.position, back.attitude)

@@ -215,7 +215,7 @@ class RayCaster:
             launch_side_by_side(self._launches)
 
     def state_tensors(self) -> dict[str, Tensor]:
-        """Return what must be kept to go on, by name."""
+        """Return the tensors of a saved state, by name."""
         places = {"position": self.places.position, "attitude": self.places.attitude}
         frame = {"frame": self._frames.number} if self._frames.count > 1 else {}
         return {"due": self.due, "image_number": self._image_number, **frame, **places} | dict(self.images.items())

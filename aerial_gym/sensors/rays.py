@@ -210,7 +210,7 @@ def _numbers(cells: list[str], count: int, where: str) -> list[float]:
 
 
 def _pixel_centres(cfg: RangeSensorCfg) -> tuple[Tensor, Tensor]:
-    """Return how far right of and below the middle of the image the pixel centres are [pixels], (H, W) each."""
+    """Return the pixel centres' offsets to the right and down from the image centre [pixels], (H, W) each."""
     right = torch.arange(cfg.width, dtype=torch.float64) + 0.5 - 0.5 * cfg.width
     down = torch.arange(cfg.height, dtype=torch.float64) + 0.5 - 0.5 * cfg.height
     below, beside = torch.meshgrid(down, right, indexing="ij")

@@ -143,14 +143,14 @@ class SensorManager:
             delay.push(mask)
 
     def state_tensors(self) -> dict[str, Tensor]:
-        """Return what must be kept to go on, by name."""
+        """Return the tensors of a saved state, by name."""
         parts: list[tuple[str, Mapping[str, Tensor]]] = [("clock", self._clock)]
         parts += [(f"caster.{name}", caster.state_tensors()) for name, caster in self.casters.items()]
         parts += [(f"delay.{name}", delay.state_tensors()) for name, delay in self._delay.items()]
         return {name: tensor for prefix, part in parts for name, tensor in below(prefix, part).items()}
 
     def draws(self) -> dict[str, Tensor]:
-        """Return where the sensors sit whose places are drawn, position [m] and attitude, body, (E, S, 3) and (E, S, 4)."""
+        """Return the poses of sensors with random placement: position [m], (E, S, 3), and attitude, (E, S, 4), body."""
         found = {}
         for name, caster in self.casters.items():
             if caster.places.is_drawn:

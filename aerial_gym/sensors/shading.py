@@ -39,7 +39,7 @@ DEPTH_OF_FIELDS = wp.constant(0.01)
 
 @wp.func
 def lift_off(surface: Surface, point: wp.vec3) -> wp.vec3:
-    """Return where a ray to a light starts, in the sensor's frame."""
+    """Return the start of a shadow ray, lifted off the surface against self-intersection, sensor frame [m]."""
     return point + SHADOW_LIFT * wp.max(wp.length(point), 1.0) * surface.normal
 
 

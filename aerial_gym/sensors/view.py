@@ -215,4 +215,4 @@ def lowest_bit(bits: wp.uint32) -> int:
 #endif
 """)
 def least_lane(value: float) -> int:
-    """Return which of the 32 threads of a warp has the least value, >= 0; all of them must call it."""
+    """Return the lane 0 to 31 of a warp with the smallest value >= 0; all lanes must call it."""

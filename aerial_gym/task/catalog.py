@@ -150,7 +150,7 @@ def _level(path: str) -> TaskCfg:
 
 
 def imported(name: str) -> object:
-    """Return what ``module:Name`` or ``file.py:Name`` names; the module may stand in the current folder.
+    """Return the object ``module:Name`` or ``file.py:Name``; the module may be in the current folder.
 
     Raises:
         UnknownNameError: If there is no such module or file, or nothing of that name in it.

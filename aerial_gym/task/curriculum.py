@@ -84,7 +84,7 @@ class Curriculum:
         self._assets.take_num_obstacles(count)
 
     def state(self) -> dict[str, int]:
-        """Return what must be kept to continue: level and counts. Waits for the device."""
+        """Return level and counts of a saved state; waits for the device."""
         return {
             "level": int(self.level),
             "finished": int(self._finished),
@@ -92,7 +92,7 @@ class Curriculum:
         }
 
     def state_tensors(self) -> dict[str, Tensor]:
-        """Return what must be kept to go on beside level and difficulty, by name."""
+        """Return the tensors of a saved state beside level and difficulty, by name."""
         return {"finished": self._finished, "succeeded": self._succeeded}
 
     def load(self, state: dict[str, int]) -> None:

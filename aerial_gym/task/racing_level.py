@@ -154,7 +154,7 @@ def _layout_of(limits: Mapping[str, Sequence[float]]) -> LayoutCfg:
 
 
 def _start_of(track: Mapping[str, Any], spread: _Spreads, env: EnvironmentCfg) -> InitialStateCfg:
-    """Return where flights begin; where tracks are drawn, anywhere within the safety limits."""
+    """Return the initial state of flights: around the drone's place, or for random tracks within the safety limits."""
     drone = track["drones"][0]
     if len(track["drones"]) != 1:
         raise ConfigError(f"env.track.drones: {len(track['drones'])}, needs one")

@@ -151,7 +151,7 @@ def check_gradients(
 
 
 def _without_gradient(term: BoundTerm, values: Values, *, jumps: bool, seen: tuple[str, ...] = ()) -> str | None:
-    """Return what a term, or a buffer that it reads, reads that has no gradient."""
+    """Return the first input of a term, or of its buffers, that has no gradient; None if all have one."""
     for name in term.reads:
         sensed = name in values.measured or (name in values.gtd and values.gtd.spec(name).owner == SENSORS)
         if sensed or name in UNTRACED or (jumps and name != "begun" and values[name].dtype == torch.bool):

@@ -329,7 +329,7 @@ class Task:
         self._images.take(begun=begun)
 
     def parts(self) -> dict[str, Callable[[], None]]:
-        """Return what a step is made of, to be timed part by part: each changes the simulation as it does in a step.
+        """Return the parts of a step, to be timed one by one; each changes the simulation as within a step.
 
         ``reset`` is that of a hundredth of the environments; ``rendering`` is missing where the robot has no sensor. The rest
         of a step is what the task itself computes.

@@ -95,7 +95,7 @@ class Values(Mapping[str, Tensor]):
         return made
 
     def read_by(self, *terms: BoundTerm) -> dict[str, Tensor]:
-        """Return what some terms read, by name."""
+        """Return the inputs of terms, by name."""
         return {name: self.find(name, term.label) for term in terms for name in term.reads}
 
     def __getitem__(self, name: str) -> Tensor:

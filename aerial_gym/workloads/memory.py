@@ -146,7 +146,7 @@ def _extent(array: "wp.array") -> int:
 
 
 def _parts(thing: object) -> Iterator[tuple[str, object]]:
-    """Give what a container, an object of this package, a function or a recorded launch holds."""
+    """Yield name and value of the parts of a container, an object of this package, a function or a recorded launch."""
     import warp as wp
 
     if isinstance(thing, Mapping):

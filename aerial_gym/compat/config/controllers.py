@@ -37,7 +37,7 @@ class GainRanges:
         )
 
     def drawn(self) -> Randomize:
-        """Return what is drawn, by the names of ``randomize:``."""
+        """Return the random gains, by the names of ``randomize:``."""
         if not self.randomize:
             return {}
         ends = {name: getattr(self, name) for name in GAINS}
@@ -150,13 +150,13 @@ def controller_of(law: Any, config: Any) -> ControllerCfg:
 
 
 def drawn_gains(law: Any, config: Any) -> Randomize:
-    """Return what a controller class and its configuration class draw of gains."""
+    """Return the random gains of a controller class with its configuration class."""
     ranges = _ranges_of(law, config)
     return {} if ranges is None else ranges.drawn()
 
 
 def _ranges_of(law: Any, config: Any) -> GainRanges | None:
-    """Return what a class says of gains; None where they are the robot's own."""
+    """Return the gain ranges of a class; None where the robot's own gains apply."""
     if law is LAWS["NoControl"] or (config is control and not control_is_changed()):
         return None
     return TABLE.translate(config, SHARED)

@@ -45,7 +45,7 @@ def _normalize(values: Values) -> Changes:
 
 
 def _placement(values: Values) -> Changes:
-    """Return where the sensor sits: drawn between limits, or the nominal pose."""
+    """Return the placement fields of a sensor: the nominal pose, or limits of its draws."""
     changes: Changes = {}
     for ours, nominal, low, high, unit in (
         ("position", "nominal_position", "min_translation", "max_translation", float),

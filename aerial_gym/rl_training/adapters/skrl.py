@@ -64,7 +64,7 @@ class SkrlEnv(Wrapper):
         return observation["observations"].clone()
 
     def state(self) -> Tensor | None:
-        """Return what the critic sees, (E, S)."""
+        """Return the critic's observation, (E, S)."""
         return self._state
 
     def render(self, *args: object, **kwargs: object) -> None:

@@ -59,7 +59,7 @@ def by_mean(train: Images) -> Telling:
 
 
 def by_components(train: Images, latents: int) -> Telling:
-    """Return what the first principal components of the images tell of the targets, by least squares, with their means.
+    """Return the reconstruction from the first principal components of the images, by least squares.
 
     Where target and image are the same this is the best that any linear encoder and decoder of so many numbers can do
     (Eckart and Young 1936), on the images that it was made of.
@@ -80,7 +80,7 @@ def by_components(train: Images, latents: int) -> Telling:
 
 
 def by_encoder(encoder: Encoder, network: Autoencoder) -> Telling:
-    """Return what the decoder makes of the means that an encoder gives."""
+    """Return the reconstruction by the decoder from the means of an encoder."""
 
     @torch.no_grad()
     def told(images: Tensor) -> Tensor:
@@ -91,6 +91,6 @@ def by_encoder(encoder: Encoder, network: Autoencoder) -> Telling:
 
 @torch.no_grad()
 def active_latents(encoder: Encoder, images: Tensor) -> int:
-    """Return how many latents tell images (N, H, W) apart."""
+    """Return the number of latents with a variance above ``ACTIVE`` over images (N, H, W)."""
     means = torch.cat([encoder(part) for part in images.split(AT_ONCE)])
     return int((means.var(0) > ACTIVE).sum())

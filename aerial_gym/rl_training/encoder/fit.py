@@ -34,7 +34,7 @@ class Fit:
         """Epochs that are done."""
 
     def state(self) -> dict[str, Any]:
-        """Return what must be kept to go on."""
+        """Return the content of a checkpoint."""
         return {
             "epochs": self.epochs,
             "network": self.network.state_dict(),

@@ -211,7 +211,7 @@ def _learn(
 
 
 def _told(fit: Fit, images: Images) -> Tensor:
-    """Return what the present network tells of images, by the means of the latents."""
+    """Return the reconstruction of images from the means of their latents, by the present network."""
     network = fit.network
     with torch.no_grad():
         return torch.cat([network.decode(network.encode(part)[0]) for part in images.seen.split(1024)])

@@ -36,7 +36,7 @@ class FlatAdam:
             start += parameter.numel()
 
     def place_of(self, parameter: Tensor) -> int:
-        """Return where the weights of a parameter of the network begin."""
+        """Return the offset of a network parameter among all weights."""
         return (parameter.data_ptr() - self.weights.data_ptr()) // self.weights.element_size()
 
     def gradient(self, loss: Tensor) -> Tensor:
@@ -71,7 +71,7 @@ class FlatAdam:
         )
 
     def state_tensors(self) -> dict[str, Tensor]:
-        """Return what must be kept to go on, besides the weights: tensors that keep their places."""
+        """Return the tensors of a saved state besides the weights; they keep their memory."""
         return {"mean": self._mean, "square": self._square, "steps": self._steps}
 
 

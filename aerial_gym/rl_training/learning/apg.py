@@ -175,7 +175,7 @@ class Apg(Learner):
         return loss, value
 
     def _values(self, observation: Mapping[str, Tensor]) -> Tensor:
-        """Return what the slow critic makes of observations (T, E, ...), (T, E), in units of the return."""
+        """Return the target critic's values (T, E) of observations (T, E, ...), in units of the return."""
         prepared = self.network.prepare(observation)
         first = next(iter(prepared.values()))
         return self.target.next_values(prepared, first.new_zeros(*first.shape[:2], 0))
@@ -220,7 +220,7 @@ class Apg(Learner):
         return loss.detach()
 
     def state_tensors(self) -> dict[str, Tensor]:
-        """Return what must be kept to go on, besides network and task: tensors that keep their places."""
+        """Return the tensors of a saved state besides network and task; they keep their memory."""
         adams = {"actor": self._actor_adam.state_tensors(), "critic": self._critic_adam.state_tensors()}
         found = super().state_tensors() | below("target", dict(self._critics[1].named_parameters()))
         return found | {name: t for prefix, adam in adams.items() for name, t in below(prefix, adam).items()}

@@ -103,6 +103,6 @@ class Distill(Learner):
         return flown
 
     def state_tensors(self) -> dict[str, Tensor]:
-        """Return what must be kept to go on, besides network and task: tensors that keep their places."""
+        """Return the tensors of a saved state besides network and task; they keep their memory."""
         own: Mapping[str, Tensor] = {"memory": self._memory, "taught": self._taught}
         return super().state_tensors() | own | below("adam", self._adam.state_tensors())

@@ -64,7 +64,7 @@ def _launcher(kernel: Any, grid: tuple[int, ...], *, compile_only: bool) -> Call
 
 
 def why_not_fused(ppo: PpoCfg, network: ActorCritic, device: torch.device) -> str | None:
-    """Return why a network cannot be learned in kernels of its own, or None if it can."""
+    """Return the reason against fused network kernels, None if they apply."""
     seen = _seen_by(network)
     if device.type != "cuda":
         return "no GPU"
@@ -139,7 +139,7 @@ class FusedPpo(Ppo):
         super().iterate()
 
     def _forward(self, seen: Tensor, network: int, noise: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
-        """Return what network 0 or 1 makes of observations (..., O), and with noise, (..., U), actions and commands."""
+        """Return outputs of network 0 or 1 for observations (..., O); with noise (..., U) also actions and commands."""
         return self._launch_forward(seen.contiguous(), network, noise)
 
     def _launch_forward(
@@ -172,7 +172,7 @@ class FusedPpo(Ppo):
         return scale.inverse(values), scale.inverse(finals), flown.memory.expand(len(values), *flown.memory.shape)
 
     def _vector(self, prepared: Mapping[str, Tensor], network: int) -> Tensor:
-        """Return what network 0 or 1 sees, (..., O)."""
+        """Return the input vector of network 0 or 1, (..., O)."""
         parts = [prepared[key] for key in self._keys[network]]
         return torch.cat(parts, dim=-1) if len(parts) > 1 else parts[0]
 
@@ -206,7 +206,7 @@ class FusedPpo(Ppo):
 
 
 def _seen_by(network: ActorCritic) -> tuple[Mapping[str, tuple[int, ...]], Mapping[str, tuple[int, ...]]]:
-    """Return what policy and critic see, by key."""
+    """Return the input shapes of policy and critic, by key."""
     return network.actor.shapes, (network.own_body or network.actor.body).cfg.shapes
 
 

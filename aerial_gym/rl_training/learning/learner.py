@@ -72,11 +72,11 @@ class Learner:
         return (first + (last - first) * share.clamp(0.0, 1.0)).float()
 
     def state_tensors(self) -> dict[str, Tensor]:
-        """Return what must be kept to go on, besides network and task: tensors that keep their places."""
+        """Return the tensors of a saved state besides network and task; they keep their memory."""
         return {"begins": self._begins, "sums": self.sums} | below("observation", self._observation)
 
     def learned(self) -> list[Tensor]:
-        """Return what is the same in all processes."""
+        """Return the tensors that all processes share."""
         return [*self.network.parameters(), *self.network.buffers(), self.sums]
 
     @torch.no_grad()

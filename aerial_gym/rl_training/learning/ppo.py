@@ -108,7 +108,7 @@ class Samples:
     """What was remembered before the first step, (E, M)."""
 
     def select(self, environments: Tensor) -> "Samples":
-        """Return those of some environments, int64 (E',)."""
+        """Return the samples of selected environments, int64 (E',)."""
         prepared, in_time = (
             {name: value.index_select(1, environments) for name, value in values.items()}
             for values in (self.prepared, self.in_time)
@@ -264,10 +264,10 @@ class Ppo(Learner):
             return self._adam.gradient(loss), numbers
 
     def state_tensors(self) -> dict[str, Tensor]:
-        """Return what must be kept to go on, besides network and task: tensors that keep their places."""
+        """Return the tensors of a saved state besides network and task; they keep their memory."""
         own = {"memory": self._memory, "rate": self._rate}
         return super().state_tensors() | own | below("adam", self._adam.state_tensors())
 
     def learned(self) -> list[Tensor]:
-        """Return what is the same in all processes."""
+        """Return the tensors that all processes share."""
         return [*super().learned(), *self._adam.state_tensors().values(), self._rate]

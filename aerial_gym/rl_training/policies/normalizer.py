@@ -48,7 +48,7 @@ class RunningNormalizer(nn.Module):
         return ((samples - self.mean) / self.std).clamp(-self.limit, self.limit)
 
     def inverse(self, normal: Tensor) -> Tensor:
-        """Return what ``forward`` normalised, but for what it clamped."""
+        """Return ``x std + mean``, the inverse of ``forward`` within its limit."""
         return normal * self.std + self.mean
 
     @torch.no_grad()

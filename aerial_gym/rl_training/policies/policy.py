@@ -56,7 +56,7 @@ class Policy(nn.Module):
         return self.head(features), memory
 
     def explore(self, observation: Mapping[str, Tensor], memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
-        """Return what ``step`` does, with an empty memory where ``begins``, bool (E,), says that an episode begins."""
+        """Return action and memory as ``step``, with an empty memory where an episode begins, bool (E,)."""
         return self.step(observation, memory * (~begins).unsqueeze(-1) if self.body.memory_size else memory)
 
     @torch.no_grad()

@@ -20,7 +20,7 @@ TILE, WARPS = 16, 4
 
 
 def along(cell: nn.GRUCell, features: Tensor, memory: Tensor, begins: Tensor) -> Tensor:
-    """Return what is remembered after each step, (T, E, M).
+    """Return the hidden state of a gated recurrent unit after each step, (T, E, M).
 
     Args:
         cell: The unit.

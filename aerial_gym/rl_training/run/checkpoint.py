@@ -18,7 +18,7 @@ def save(path: str | Path, payload: Mapping[str, object]) -> None:
 
 
 def load(path: str | Path) -> dict[str, Any]:
-    """Return what ``save`` wrote (``read_archive``)."""
+    """Return the content of a checkpoint, see ``read_archive``."""
     return read_archive(path, "checkpoint")
 
 

@@ -145,7 +145,7 @@ def _hundredth(dt: float) -> int:
 
 
 def tail_of(robot: RobotCfg, dt: float, gravity: float) -> TailServo | None:
-    """Return what holds the heading of a robot whose tail leans on a servo, at a time step [s]; None of another robot."""
+    """Return the heading servo of a tricopter at a time step [s]; None without a tail servo."""
     try:
         return tail_servo(robot, dt=dt, gravity=gravity)
     except ConfigError:

@@ -1,4 +1,4 @@
-"""What a robot file describes, in numbers and in sentences about what is odd about it.
+"""Report on a robot file: its numbers, and warnings about implausible ones.
 
 Frames: body is x forward, y left, z up. Letters: R rotors.
 """
@@ -94,7 +94,7 @@ def check_robot(
     gravity: float = STANDARD_GRAVITY,
     progress: Callable[[str, float], None] = lambda _text, _share: None,
 ) -> RobotReport:
-    """Return what a robot can do, as its own allocation does it, and the time steps at which controllers hold it.
+    """Return hover, control authority by the robot's own allocation, and the stable time steps of its controllers.
 
     Args:
         robot: A loaded robot: what no body or rotor can be is refused when it is loaded.
@@ -167,7 +167,7 @@ def _with_gains() -> tuple[str, ...]:
 def _problems(
     hover: torch.Tensor, low: torch.Tensor, high: torch.Tensor, wrench: torch.Tensor, held: float, weight: float
 ) -> Iterator[str]:
-    """Yield why a vehicle cannot hover: rotors beyond their limits, or a force or torque that is left over."""
+    """Yield the reasons against hover: rotors beyond their limits, or a residual force or torque."""
     for number, (thrust, least, most) in enumerate(zip(hover.tolist(), low.tolist(), high.tolist(), strict=True), 1):
         if not least <= thrust <= most:
             yield (
@@ -185,7 +185,7 @@ def _problems(
 
 
 def _coupled(matrix: torch.Tensor) -> Iterator[str]:
-    """Yield which of lift, roll, pitch and yaw the rotors give only together, from the effectiveness matrix, (6, R)."""
+    """Yield the linearly dependent rows among lift, roll, pitch and yaw of an effectiveness matrix (6, R)."""
     rows, names = matrix[2:], ("lift", "torque about x", "torque about y", "torque about z")
     size = rows.norm(dim=-1, keepdim=True)
     unit = torch.where(size > ROUND_OFF * size.max(), rows / size, 0.0)
@@ -230,7 +230,7 @@ def _tail_warnings(tail: LeaningTail, held: float, controllers: Sequence[str] | 
 
 
 def _warnings(robot: RobotCfg) -> Iterator[str]:
-    """Yield what is odd about the numbers themselves."""
+    """Yield warnings about implausible numbers of the robot file."""
     extent = max(
         (*(dist(m.position, robot.body.com) for m in robot.mounts.layout), *map(_reach, robot.collision.shapes))
     )

@@ -56,7 +56,7 @@ class LeaningTail:
         self._inverse = np.linalg.pinv(self.columns[2:])
 
     def unknowns(self, lift: float, torque: Sequence[float] = (0.0, 0.0, 0.0)) -> Array:
-        """Return what gives a force along z [N] and a torque [N m]: thrusts, the tail's along z, and its part along -y [N]."""
+        """Return the unknowns for a force along z [N] and a torque [N m]: thrusts, the tail's z and -y components [N]."""
         return self._inverse @ np.array([lift, *torque])
 
     def thrusts(self, unknowns: Array) -> Array:
@@ -89,7 +89,7 @@ class LeaningTail:
         return None if self.angles[0] <= self.angle(unknowns) <= self.angles[1] else self.tail
 
     def largest(self, lift: float, axis: int) -> tuple[float, int | None]:
-        """Return how much both ways can be added to a lift [N], and the number from 0 of the rotor (or its servo) that ends it.
+        """Return the symmetric control margin at a lift [N], and the number from 0 of the limiting rotor or its servo.
 
         Axis 0 is the force along z [N], 1 to 3 are the torques about x, y, z [N m].
         """
@@ -120,7 +120,7 @@ def _farthest(stopped_by: Callable[[float], int | None]) -> tuple[float, int | N
 def leaning_tail(
     robot: RobotCfg, matrix: Array, low: Array, high: Array, *, gravity: float = STANDARD_GRAVITY
 ) -> LeaningTail | None:
-    """Return the same, or None where no rotor is a tail on a servo."""
+    """Return the model of a vehicle with a tail servo; None without one."""
     try:
         return LeaningTail(robot, matrix, low, high, gravity=gravity)
     except ConfigError:

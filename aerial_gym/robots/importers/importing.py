@@ -1,4 +1,4 @@
-"""A robot from a file of another simulator, which hovers, or the reason why it does not."""
+"""Import of a robot file of another simulator, refused with a reason unless the robot hovers."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ class Imported:
     assumed: tuple[str, ...] = ()  # What is taken otherwise, or is not in the file, likewise
 
     def lines(self) -> Iterator[str]:
-        """Yield what is not used and what is assumed, a line each."""
+        """Yield one line per unused element and per assumption."""
         yield from (f"left out: {' '.join(note.split())}" for note in self.notes)
         yield from (f"assumed: {' '.join(note.split())}" for note in self.assumed)
 

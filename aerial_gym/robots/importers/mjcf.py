@@ -109,7 +109,7 @@ class _Reader:
         )
 
     def weightless(self) -> Iterator[Weightless]:
-        """Yield what accelerates and weighs nothing: bodies with gravity compensation, and the armature."""
+        """Yield masses without weight: bodies with gravity compensation, and the armature."""
         for b in self._bodies:
             mass = float(self._model.body_gravcomp[b] * self._model.body_mass[b])
             if mass:
@@ -220,7 +220,7 @@ class _Reader:
             yield replace(own, link=self.carrier(m.geom_bodyid[geom]))
 
     def pushes_vehicle(self, actuator: Actuator) -> bool:
-        """Return whether what an actuator acts on is on the vehicle."""
+        """Return whether an actuator's target belongs to the vehicle."""
         return not actuator.at_site or self.is_part(int(self._model.site_bodyid[actuator.site]))
 
     def joints(self) -> list[int]:
@@ -228,7 +228,7 @@ class _Reader:
         return [j for b in self._bodies for j in self._own_joints(b)]
 
     def notes(self, sites: Sequence[int], welded: Sequence[int]) -> Iterator[str]:
-        """Yield what is not used beside actuators, a line for each kind.
+        """Yield the unused elements other than actuators, a line for each kind.
 
         Args:
             welded: Joints that are welded and not named elsewhere.

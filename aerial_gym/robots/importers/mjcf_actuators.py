@@ -125,7 +125,7 @@ class Actuator:
         )
 
     def notes(self) -> Iterator[str]:
-        """Yield what of it is not used."""
+        """Yield the unused attributes of this actuator."""
         m, i = self.model, self.index
         if self._is("biastype", "mjtBias", "mjBIAS_AFFINE") and m.actuator_biasprm[i][2] != 0.0:
             yield f"biasprm[2] = {m.actuator_biasprm[i][2]:g}, force per velocity along the gear, of actuators"
@@ -135,7 +135,7 @@ class Actuator:
             yield "armature and damping of actuators"
 
     def assumed(self) -> Iterator[str]:
-        """Yield what of it is taken otherwise than the file has it."""
+        """Yield the attributes of this actuator that the import changes."""
         force, torque = self._gear()
         beside = float(np.linalg.norm(np.cross(force, torque)) / (force @ force))
         if beside > 0.0:

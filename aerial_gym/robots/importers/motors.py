@@ -149,7 +149,7 @@ def sideways_effects(motors: Sequence[Motor]) -> dict[str, dict[str, float]]:
 
 
 def notes_on(motors: Sequence[Motor]) -> Iterator[str]:
-    """Yield what of the motors is not taken over."""
+    """Yield the unused coefficients of motors."""
     if any(motor.rolling_moment for motor in motors):
         yield "rollingMomentCoefficient, a torque along the sideways flow: no effect has that law"
     if len({motor.sideways_drag for motor in motors}) > 1:

@@ -89,7 +89,7 @@ def _unused(given: Mapping[str, str], used: set[str]) -> tuple[str, ...]:
 
 
 def _out_of_range(name: str, params: Mapping[str, float]) -> str | None:
-    """Return why an effect cannot have these parameters, or None."""
+    """Return the first parameter of an effect outside its bounds, as text; None if all are within."""
     for parameter in EFFECTS.get(name).parameters:
         value = params[parameter.name]
         if not parameter.low <= value <= parameter.high:

@@ -145,7 +145,7 @@ def _rotor(tree: SdfTree, motor: Motor, weights: dict[str, Weight], from_root: n
 
 
 def _unused(root: Element, vehicle: Element, tree: SdfTree) -> Iterator[str]:
-    """Yield the elements that are not read."""
+    """Yield the unused elements of the file."""
     others = [child for base in (root, *root.findall("world")) for child in base if child is not vehicle]
     plugins = [plugin for _, plugin in tree.plugins if not is_motor(plugin) and force_left_out(plugin) is None]
     named = [plugin for _, plugin in tree.plugins if force_left_out(plugin) is not None]
@@ -208,7 +208,7 @@ class _Reader:
             yield f"joint {joint}, which moves {', '.join(names)}, is welded"
 
     def notes(self) -> Iterator[str]:
-        """Yield what of joints, links and shapes is not used, beside elements that are not read."""
+        """Yield the unused data of joints, links and shapes."""
         if welded := [joint for joint in self.tree.joints if self._moves(joint) and joint not in self._tilting]:
             yield f"joints that are welded: {', '.join(welded)}"
         if held := [joint for joint, ends in self._ends.items() if None in ends]:

@@ -70,7 +70,7 @@ def weight_of(tree: SdfTree, link: str) -> Weight:
 
 
 def unused_of(tree: SdfTree, link: str) -> Iterator[str]:
-    """Yield which of a link's numbers count for nothing."""
+    """Yield the numbers of a link that SDF ignores."""
     element = tree.links[link]
     inertial = element.find("inertial")
     if inertial is not None and _is_auto(inertial):
@@ -82,7 +82,7 @@ def unused_of(tree: SdfTree, link: str) -> Iterator[str]:
 
 
 def assumed_of(tree: SdfTree, link: str) -> Iterator[str]:
-    """Yield which of a link's numbers are those that the format takes where a file says nothing."""
+    """Yield the numbers of a link that are defaults of SDF."""
     inertial = tree.links[link].find("inertial")
     if inertial is not None and _is_auto(inertial):
         return

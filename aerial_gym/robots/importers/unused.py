@@ -11,7 +11,7 @@ Tags = Mapping[str, Any]
 def unused_in(
     root: Element, used: Tags, *, left_out: Container[Element] = (), named: Container[Element] = ()
 ) -> Iterator[str]:
-    """Yield what is not used: ``sensor: front (camera), imu (imu)``, or ``limit of axis: rotor_0_joint``.
+    """Yield the unused elements: ``sensor: front (camera), imu (imu)``, or ``limit of axis: rotor_0_joint``.
 
     Args:
         root: Element whose children are looked through.

@@ -51,7 +51,7 @@ class LinkTensors:
         ]
 
     def places(self, cfg: JointsCfg, state: "JointedState", trajectory: "Trajectory | None") -> "LinkPlaces":
-        """Return what writes these from the state of a robot, and follows a record that has joints."""
+        """Return the launches that write these tensors from a robot's state, and follow a trajectory with joints."""
         from aerial_gym.robots.joints.links import LinkPlaces
 
         return LinkPlaces(cfg, state, self, trajectory)

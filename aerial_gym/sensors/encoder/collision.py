@@ -15,7 +15,7 @@ processor (2.2 times as fast as 64 MB), and 64 MB, which fills a GPU."""
 
 
 def collision_distance(distance: Tensor, rays: Tensor, *, radius: float, largest: float) -> Tensor:
-    """Return how far a ball flies along each ray until it touches a point of the image, ``t = p.u - sqrt(r² - |p x u|²)``.
+    """Return the free distance of a ball along each ray before a point of the image, ``t = p.u - sqrt(r² - |p x u|²)``.
 
     What an image does not show, and what lies between the rays, is not touched: exact for the points of the image. A ball that
     touches a point at the start flies 0.

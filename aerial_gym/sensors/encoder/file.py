@@ -31,7 +31,7 @@ HOW = "Train one with aerial-gym train-encoder"
 
 @dataclass(frozen=True, kw_only=True)
 class SeenCfg:
-    """What must be equal in a sensor for its images to be those that an encoder knows."""
+    """Image format that a sensor must share with the encoder's training."""
 
     model: str  # Where rays point, as in a sensor file
     kind: str  # `depth` or `range`
@@ -46,7 +46,7 @@ class SeenCfg:
 
 
 def seen_by(cfg: RangeSensorCfg) -> SeenCfg:
-    """Return what an encoder must know of a sensor."""
+    """Return the image format of a sensor that an encoder depends on."""
     return SeenCfg(
         model=cfg.model,
         kind=cfg.kind,

@@ -114,7 +114,7 @@ class Gates(Command):
         )  # fmt: skip
 
     def _stand(self, env: EnvManager) -> tuple[Tensor, Tensor]:
-        """Return where the gates stand [m] and how, to world, xyzw, (E, G, 3) and (E, G, 4)."""
+        """Return position [m] and orientation to world, xyzw, of the gates, (E, G, 3) and (E, G, 4)."""
         rows = torch.tensor(self._gates, device=env.device).expand(env.num_envs, -1, -1)
         return rows[..., :3].contiguous(), rows[..., 5:].contiguous()
 
@@ -127,7 +127,7 @@ class Gates(Command):
         self._practice.place(mask)
 
     def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return what the way from the last position to this one crosses."""
+        """Return the crossing flags of the gate for the motion of this step."""
         x, y = values["target_direction"].unbind(-1)
 
         def seen_from_gate(place: Tensor) -> Tensor:

@@ -109,7 +109,7 @@ class PointSequence(Command):
 
 
 def goals_within(goal: Tensor, env: EnvManager, low: Vec3, high: Vec3, name: str) -> Goals:
-    """Return what draws a goal (E, 3) between two shares of the bounds for the command of a name."""
+    """Return the launch that draws a goal (E, 3) between two shares of the bounds; ``name`` is the command's, for errors."""
     if not all(0.0 <= a <= b <= 1.0 for a, b in zip(low, high, strict=True)):
         raise ConfigError(
             f"command {name}: low = {low!r}, high = {high!r}: needs 0 <= low <= high <= 1 on every axis. "
@@ -170,7 +170,7 @@ class OnAsset(Command):
         return {TARGET: state[:, :3] + state.new_tensor(self._offset), "target_velocity": state[:, 7:10]}
 
     def after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return the same: where an episode has just begun, the asset stands elsewhere."""
+        """Return ``at`` again, as a reset moves the asset."""
         return self.at(values)
 
 
@@ -195,12 +195,12 @@ class LoadPoint(Command):
         self.reads = ("load_target", LOAD_PARAMS)
 
     def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return where the robot is when the load hangs at rest at its target."""
+        """Return the robot's position that holds the load at rest at its target."""
         x, y, z = values["load_target"].unbind(-1)
         return {TARGET: torch.stack((x, y, z + values[LOAD_PARAMS][:, 1]), dim=-1)}
 
     def after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return the same: where an episode has just begun, the target and the link are others."""
+        """Return ``at`` again, as a reset draws target and link length."""
         return self.at(values)
 
     def draw(self, mask: Tensor) -> None:

@@ -161,7 +161,7 @@ class Polynomial(Command):
         return weights
 
     def after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return the same: where an episode has just begun, that is another track."""
+        """Return ``at`` again, as a reset draws another track."""
         return self.at(values)
 
     def draw(self, mask: Tensor) -> None:

@@ -89,7 +89,7 @@ class TrackGates(Command):
         self._practice.begin()
 
     def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return what the way from the last position to this one crosses."""
+        """Return the crossing flags of the gate for the motion of this step."""
         before, now = (
             quat_rotate_inverse(values["target_orientation"], values[name] - values[TARGET])
             for name in ("previous_position", "robot_position")

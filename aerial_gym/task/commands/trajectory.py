@@ -90,7 +90,7 @@ class Trajectory(Command):
         return {TARGET: torch.stack(position, dim=-1), "target_velocity": torch.stack(velocity, dim=-1)}
 
     def after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return the same: where an episode has just begun, that is another instant."""
+        """Return ``at`` again, as a reset changes the time."""
         return self.at(values)
 
     def draw(self, mask: Tensor) -> None:

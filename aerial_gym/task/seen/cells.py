@@ -25,7 +25,7 @@ class Cells:
 
     @property
     def makers(self) -> Mapping[str, Callable[..., Tensor]]:
-        """Return what ``Values`` makes buffers with."""
+        """Return the functions that make this buffer for ``Values``, by its name."""
         return {CELLS: self._cells, LARGEST: self._largest}
 
     def measure(self) -> None:

@@ -74,7 +74,7 @@ class Images:
 
 
 def scale_of(image: Tensor, cfg: ImageCfg, sensors: SensorManager) -> tuple[float, float]:
-    """Return what counts as 1 in the unit of an image, and the share of a pixel that has nothing (is negative)."""
+    """Return the value of an image that maps to 1, in its unit, and the share for an empty (negative) pixel."""
     if "depth" in cfg.key or "disparity" in cfg.key:
         own = [name for name in sensors.casters if cfg.key.startswith(f"{name}_")]
         largest, empty = sensors.casters[own[0] if own else next(iter(sensors.casters))].cfg.distance_scale

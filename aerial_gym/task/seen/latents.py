@@ -31,7 +31,7 @@ class Latents:
 
     @property
     def makers(self) -> Mapping[str, Callable[..., Tensor]]:
-        """Return what ``Values`` makes buffers with."""
+        """Return the functions that make this buffer for ``Values``, by its name."""
         return {LATENTS: self._declare}
 
     @torch.no_grad()

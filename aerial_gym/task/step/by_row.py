@@ -32,7 +32,7 @@ class ByRow(Generic[Result]):
         """Why it runs as torch operations, or None."""
 
     def __call__(self, *tensors: Tensor, out: Sequence[Tensor] = ()) -> Result:
-        """Return what the function returns; ``out`` receives the first results, also where they are inputs."""
+        """Return the function's results; the first are also written into ``out``, which may be inputs."""
         if self._rows is None and self.reason is None:
             self._trace(tensors)
         if self._rows is None:

@@ -54,7 +54,7 @@ class Faults:
             each.draw(mask)
 
     def apply_fault(self, cfg: ObservationCfg, values: Mapping[str, Tensor], value: Tensor) -> Tensor:
-        """Return what a term shows, (E, width), of its value likewise: a pure function."""
+        """Return a term's value, (E, width), with its sensor fault where that acts; a pure function."""
         if cfg.fault is None:
             return value
         fault, first = self._cfgs[cfg.fault], self._first[cfg.fault]

@@ -128,7 +128,7 @@ class Judge:
         return found | {"total": found["sums"][:, 0], "reward_terms": found["sums"][:, 1:]}
 
     def info(self, judged: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return what a step tells beside observation and reward; of what has gradients, last observations alone keep them."""
+        """Return the ``info`` of a step: ends, episode sums and last observations; only the latter keep gradients."""
         info = {
             "time_outs": judged["truncated"],
             "successes": judged["success"],
@@ -286,7 +286,7 @@ class Judge:
 
 
 def _worth(end: EndRewardCfg | None, values: Mapping[str, Tensor]) -> Tensor | float:
-    """Return what an end is worth, a number, or (E,) where it depends on the difficulty."""
+    """Return the reward of an end: a number, or (E,) where it depends on the difficulty."""
     if end is None:
         return 0.0
     return end.value + end.difficulty_value * values["difficulty"] if end.difficulty_value else end.value

@@ -37,12 +37,12 @@ class Line:
         return [*kept, value]
 
     def pieces(self, width: int) -> list[int]:
-        """Return how many of the past values each of some buffers holds: one that is too wide is no part of a kernel."""
+        """Return the number of past values per buffer, split so that each buffer is narrow enough for a kernel."""
         most = max(1, LARGEST_ROW // width)
         return [min(most, self.length - first) for first in range(0, self.length, most)]
 
     def read_frames(self, frames: list[Tensor], delay: Tensor | None) -> Tensor:
-        """Return what is shown of the frames, (E, history w).
+        """Return the delayed value and its history, (E, history w).
 
         Args:
             frames: Of ``frames``.

@@ -23,7 +23,7 @@ class Graph:
         self._places: dict[str, Tensor] = {}
 
     def select(self, reads: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return these tensors with their gradients where they have any, and copies of the others."""
+        """Return tensors by name: with their gradients where they have any, else as copies."""
         motion = self._simulation.traced
         found: dict[str, Tensor] = {}
         for name, tensor in reads.items():

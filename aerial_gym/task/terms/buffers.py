@@ -89,7 +89,7 @@ def previous_relative_velocity(robot_linvel: Tensor, target_velocity: Tensor) ->
 
 @BUFFERS.buffer(shape=("V",))
 def policy_action(policy_action: Tensor, begun: Tensor) -> Tensor:
-    """Return what the policy gave last, before transform, delay and filter; 0 where an episode has just begun, (E, V)."""
+    """Return the policy's last action, before transform, delay and filter; 0 at the start of an episode, (E, V)."""
     return torch.where(begun.unsqueeze(-1), 0.0, policy_action)
 
 

@@ -59,7 +59,7 @@ def flight_to_target(
     away: float,
     near: float,
 ) -> Tensor:
-    """Return what a velocity is worth that points to the target at about a wanted speed, (E,).
+    """Return a reward for velocity toward the target near a desired speed, (E,).
 
     Args:
         target_position: Where to fly [m], world, (E, 3).

@@ -56,7 +56,7 @@ def following_gate_world(following_position: Tensor, robot_position: Tensor) -> 
 
 @OBSERVATIONS.term(width=3)
 def load_offset_world(load_position: Tensor, robot_position: Tensor) -> Tensor:
-    """Return where the load hangs from the body origin [m], world, (E, 3)."""
+    """Return the load's position relative to the body origin [m], world, (E, 3)."""
     return load_position - robot_position
 
 
@@ -96,7 +96,7 @@ def rotation_rows(robot_orientation: Tensor) -> Tensor:
 
 @OBSERVATIONS.term(width=3)
 def up_body(robot_orientation: Tensor) -> Tensor:
-    """Return where up is, body, the third row of the rotation matrix body to world, (E, 3)."""
+    """Return the world's up axis in the body frame, the third row of the rotation matrix body to world, (E, 3)."""
     x, y, z, w = robot_orientation.unbind(-1)
     return torch.stack((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)), dim=-1)
 
@@ -207,8 +207,8 @@ def way_ahead(
     robot_position: Tensor,
     robot_vehicle_orientation: Tensor,
 ) -> Tensor:
-    """Return where the way to and through the next gate leads (``way_direction``), vehicle frame, and the robot's place in
-    the frame of that gate [m], as far as it is known, (E, 6).
+    """Return the direction of the path through the next gate (``way_direction``), vehicle frame, and the robot's position in
+    that gate's frame [m], (E, 6); a gate not yet seen counts at its nominal pose.
     """
     seen = gates_seen.unsqueeze(-1)
     position = row_of(target_index, torch.where(seen, gate_position, gate_nominal_position))

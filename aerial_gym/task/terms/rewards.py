@@ -48,7 +48,7 @@ def _distance(a: Tensor, b: Tensor) -> Tensor:
 
 @REWARDS.term()
 def constant(robot_position: Tensor, *, value: float = 1.0) -> Tensor:
-    """Return the same in every step, (E,): what it is worth to be alive."""
+    """Return a constant reward per step, (E,), for staying alive."""
     return torch.full_like(robot_position[:, 0], value)
 
 
@@ -281,7 +281,7 @@ def velocity_command_change(
 
 @REWARDS.term()
 def clearance_penalty(robot_clearance: Tensor, *, distance: float) -> Tensor:
-    """Return how far the clearance lies below a distance [m], as a negative share of it, (E,); 0 above."""
+    """Return ``-max(1 - clearance / distance, 0)``, distance in m, (E,)."""
     return -((distance - robot_clearance.clamp(0.0, inf)) / distance).clamp_min(0.0)
 
 
@@ -305,6 +305,6 @@ def way_gained(
     previous_way: Tensor,
     gate_passed: Tensor,
 ) -> Tensor:
-    """Return by how much the way to and through the next gate of a track has become shorter in this step [m], (E,)."""
+    """Return the decrease of the path length through the next gate in this step [m], (E,)."""
     way = way_through(target_position, target_orientation, robot_position)
     return previous_way - torch.where(gate_passed, 0.0, way)

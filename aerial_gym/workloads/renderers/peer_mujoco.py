@@ -20,7 +20,7 @@ FORWARD = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
 def build(
     scene: dict[str, np.ndarray], device: str
 ) -> tuple[Callable[[], None], Callable[[], tuple[np.ndarray, np.ndarray | None]]]:
-    """Return what draws the images and what returns them."""
+    """Return the function that draws the images and the function that returns them."""
     if device != "cpu":
         raise SystemExit("mj_multiRay runs on the CPU only")
     envs, (rows, columns) = len(scene["position"]), scene["direction"].shape[:2]

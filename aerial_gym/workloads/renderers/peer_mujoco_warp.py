@@ -19,7 +19,7 @@ PACKAGES = ("mujoco-warp", "mujoco", "warp-lang")
 def build(
     scene: dict[str, np.ndarray], device: str
 ) -> tuple[Callable[[], None], Callable[[], tuple[np.ndarray, np.ndarray | None]]]:
-    """Return what draws the images and what returns them."""
+    """Return the function that draws the images and the function that returns them."""
     wp.config.quiet = True
     envs, (rows, columns), segment = len(scene["position"]), scene["direction"].shape[:2], bool(scene["segmentation"])
     model = mujoco.MjModel.from_xml_string(movable_model(scene))

@@ -22,7 +22,7 @@ FORWARD = wp.quat(0.5, -0.5, -0.5, 0.5)
 def build(
     scene: dict[str, np.ndarray], device: str
 ) -> tuple[Callable[[], None], Callable[[], tuple[np.ndarray, np.ndarray | None]]]:
-    """Return what draws the images and what returns them."""
+    """Return the function that draws the images and the function that returns them."""
     wp.config.quiet = True
     envs, parts = scene["position"].shape[:2]
     rows, columns = scene["direction"].shape[:2]

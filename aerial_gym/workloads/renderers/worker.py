@@ -59,7 +59,7 @@ def version_of(package: str) -> str:
 
 
 def batched(draw: Callable[[], None], device: str) -> tuple[Callable[[], None], Callable[[], None]]:
-    """Return what does ``CALLS`` calls (on a GPU the replay of a graph of Warp's) and what waits for them."""
+    """Return two functions: one makes ``CALLS`` calls (on a GPU the replay of a graph), one waits for them."""
     if device == "cpu":
         return lambda: repeat(draw, CALLS), lambda: None
     import warp as wp
