@@ -1,6 +1,7 @@
 """The wording: one sentence, or a few, for the code of every finding. Only reports and commands render."""
 
 from collections.abc import Callable, Iterable, Mapping
+from math import isfinite
 from typing import Any
 
 from aerial_gym.sim2real.findings import Finding
@@ -48,8 +49,22 @@ def render_findings(content: Any) -> Any:
 
 
 def finding_rows(findings: Iterable[Finding]) -> list[dict[str, object]]:
-    """Return findings for JSON: code, subject, values, severity and text."""
+    """Return findings for JSON: code, subject, values, severity and text; an infinite number becomes null."""
     return [
-        {"code": one.code, "subject": one.subject, "values": one.values, "severity": one.severity, "text": text(one)}
+        {
+            "code": one.code,
+            "subject": one.subject,
+            "values": _finite(one.values),
+            "severity": one.severity,
+            "text": text(one),
+        }
         for one in findings
     ]
+
+
+def _finite(content: Any) -> Any:
+    if isinstance(content, Mapping):
+        return {name: _finite(part) for name, part in content.items()}
+    if isinstance(content, list | tuple):
+        return [_finite(part) for part in content]
+    return None if isinstance(content, float) and not isfinite(content) else content

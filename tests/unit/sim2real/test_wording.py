@@ -1,6 +1,7 @@
 """Every code has one template and is used; the golden file holds all sentences, which are short."""
 
 import ast
+import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 import aerial_gym.sim2real
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.findings import CODES, Finding, unit_key
-from aerial_gym.sim2real.wording import TEMPLATES, render_findings, text
+from aerial_gym.sim2real.wording import TEMPLATES, finding_rows, render_findings, text
 from aerial_gym.sim2real.wording.effects import EFFECT_TEMPLATES
 from aerial_gym.sim2real.wording.words import round_value, tolerance
 from tests.unit.sim2real.finding_samples import EFFECT_SAMPLES, GOLDEN, SAMPLES, effect, golden
@@ -79,6 +80,14 @@ def test_a_finding_of_an_unknown_code_is_refused() -> None:
 def test_findings_within_json_become_sentences() -> None:
     note = Finding("few_flights", "", {"flights": 2})
     assert render_findings({"a": [note, 1.0], "b": (None,)}) == {"a": [text(note), 1.0], "b": [None]}
+
+
+def test_an_interval_without_end_is_null_in_json_and_infinite_in_words() -> None:
+    changes = {"before_m_s2": 0.1, "after_m_s2": 0.2, "rise": 1.0, "rise_low": -1.0, "rise_high": math.inf, "more": 0}
+    finding = Finding("error_may_rise", "specific_force.x", changes)
+    (row,) = finding_rows([finding])
+    assert row["values"] == {**changes, "rise_high": None}
+    assert "(-100 to +∞ %)" in text(finding)
 
 
 @pytest.mark.parametrize(
