@@ -114,7 +114,7 @@ class Scene:
         """Capacity P for parts of an environment."""
         return self._part_shape.shape[1]
 
-    def carried(self) -> tuple[tuple[PartCfg, ...], Tensor, Tensor]:
+    def instance_parts(self) -> tuple[tuple[PartCfg, ...], Tensor, Tensor]:
         """Return all possible parts of instances, and views of those in each environment, which follow ``relabel``.
 
         Returns:

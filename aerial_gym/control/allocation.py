@@ -1,7 +1,7 @@
-"""From a wanted body wrench to rotor commands.
+"""Control allocation: from a wanted body wrench to rotor commands.
 
-The matrix is derived from the rotors of the *declared* vehicle, as an autopilot does not know the effects it lacks; or, where
-it is told, from those of the vehicle in each environment (``control.effectiveness``).
+The allocation matrix comes from the rotors of the *declared* vehicle, because an autopilot does not know unmodelled effects.
+With ``effectiveness: actual`` it comes from the vehicle of each environment (``control.effectiveness``).
 Frames: body is x forward, y left, z up. Letters: E environments, R rotors.
 """
 
@@ -19,7 +19,7 @@ from aerial_gym.physics.vehicle import Vehicle, is_shared, own_rows, share_row
 Saturation = Literal["prioritised", "clamp"]
 
 MAP_FIELDS = ("thrust_map", "reverse_thrust_map")
-"""Fields of ``Vehicle`` that lead from thrusts to states, and from the limits of states to those of thrusts."""
+"""Fields of ``Vehicle`` that map between thrusts and rotor states."""
 
 MATRIX_FIELDS = frozenset(
     ("mass", "com", "rotor_position", "rotor_axis", "rotor_spin", "torque_map", "reverse_torque_map", *MAP_FIELDS)
@@ -29,7 +29,7 @@ MATRIX_FIELDS = frozenset(
 
 @dataclass(frozen=True)
 class Allotment:
-    """Thrusts, and how much of the wanted torque they give."""
+    """Allocated thrusts, and the shares of the wanted torque that they give."""
 
     thrust: Tensor  # [N], (E, R)
     turn: Tensor  # Share of the roll and pitch torque, 0 to 1, (E, 1)
@@ -42,11 +42,11 @@ def prioritised_thrust(inverse: Tensor, wrench: Tensor, low: Tensor, high: Tenso
 
 
 def allot(inverse: Tensor, wrench: Tensor, low: Tensor, high: Tensor) -> Allotment:
-    """Return thrusts [N], (E, R), within their limits: the pseudo-inverse's where they are, else what matters most comes first.
+    """Return thrusts [N], (E, R), within their limits: by the pseudo-inverse if possible, else by priority.
 
-    In this order: the largest share of roll and pitch torque for which there is any thrust along body z within the limits; that
-    thrust as near as can be to the wanted one; the largest share of what is left, yaw torque and lateral force. Each is the
-    exact optimum, given those before it, within the span of the pseudo-inverse; yaw that makes room for thrust is used.
+    Priorities: first the largest feasible share of roll and pitch torque; then the thrust along body z nearest to the wanted
+    one; then the largest share of yaw torque and lateral force. Each step is the exact optimum, given those before it, within
+    the span of the pseudo-inverse. Yaw torque that allows more thrust is used.
 
     Args:
         inverse: Pseudo-inverse of the allocation matrix, (E, R, 6).
@@ -87,19 +87,19 @@ def allot(inverse: Tensor, wrench: Tensor, low: Tensor, high: Tensor) -> Allotme
 
 
 def within(thrust: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """Return whether all rotors are within their limits, (E, 1)."""
+    """Return whether all rotors of an environment are within their limits, bool (E, 1)."""
     return ((thrust >= low) & (thrust <= high)).all(-1, keepdim=True)
 
 
 def _fitting(room: Tensor, need: Tensor) -> Tensor:
-    """Return the largest share, at most 1, of a need for which there is room."""
+    """Return the quotient ``room / need``, at most 1."""
     room = room.clamp_min(0.0)
     short = need > room
     return torch.where(short, room / torch.where(short, need, 1.0), 1.0)
 
 
 def _share(thrust: Tensor, change: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """Return the largest share (E, 1), at most 1, of a change (E, R) that thrusts can take."""
+    """Return the largest feasible share (E, 1), at most 1, of a change of thrusts (E, R)."""
     room = torch.where(change > 0.0, high - thrust, thrust - low)
     return _fitting(room, change.abs()).amin(-1, keepdim=True)
 
@@ -108,7 +108,9 @@ def _share_of_pairs(floor: Tensor, ceiling: Tensor, slope: Tensor) -> Tensor:
     """Return the largest s <= 1, (E, 1), with one F for which ``floor <= F + s slope <= ceiling`` in every rotor."""
     room, upper, lower = ceiling.unsqueeze(1) - floor.unsqueeze(2), slope.unsqueeze(1), slope.unsqueeze(2)
     need = upper - lower
-    need = torch.where(need > NEGLIGIBLE * (upper.abs() + lower.abs()), need, 0.0)  # rotors of one kind stay level
+    need = torch.where(
+        need > NEGLIGIBLE * (upper.abs() + lower.abs()), need, 0.0
+    )  # ignore round-off between equal rotors
     return _fitting(room, need).flatten(1).amin(-1, keepdim=True)
 
 
@@ -135,12 +137,15 @@ class Allocation:
         saturation: Saturation = "prioritised",
         effectiveness: str = "nominal",
     ) -> None:
-        """Take the declared vehicle, gravity [m/s²], what gives way where rotors are at their limits, and whose matrix counts.
+        """Compute the allocation of a declared vehicle.
 
-        With an ``actual`` effectiveness it is that of the declared vehicle until ``follow`` is called.
+        Args:
+            gravity: Downward acceleration of free fall [m/s²].
+            saturation: Rule at rotor limits: priorities, or a clamp of each thrust.
+            effectiveness: Matrix of the ``nominal`` vehicle, or of the ``actual`` one once ``follow`` is called.
         """
         matrix = allocation_matrix(vehicle, gravity)
-        asked = actuation_of(matrix[0]).asked(matrix)
+        asked = actuation_of(matrix[0]).mask_rows(matrix)
         low, high = _thrust_limits(vehicle)
         self.vehicle, self.saturation, self.effectiveness = vehicle, saturation, effectiveness
         if is_shared(vehicle.mass):  # a declared vehicle is the same everywhere
@@ -154,9 +159,9 @@ class Allocation:
         self._own: tuple[str, ...] = ()
 
     def follow(self, vehicle: Vehicle) -> None:
-        """Give each environment rows of its own, to be written in place, of what follows from rows of its own in a vehicle.
+        """Give each environment its own rows of all values that depend on vehicle fields with own rows.
 
-        Without an ``actual`` effectiveness nothing does. Call it before ``fused``; a second call changes nothing.
+        Only an ``actual`` effectiveness has any. Call it before ``fused``; a second call changes nothing.
         """
         if self.effectiveness != "actual" or self._own:
             return
@@ -172,12 +177,12 @@ class Allocation:
 
     @property
     def rows(self) -> dict[str, Tensor]:
-        """What each environment has of its own, by the fields of ``FusedLaw``, (E, ...)."""
+        """Values with own rows per environment, by the fields of ``FusedLaw``, (E, ...)."""
         limits = {"allocation": self.inverse, "low": self.low, "high": self.high}
         return {name: limits[name] if name in limits else getattr(self.vehicle, name) for name in self._own}
 
     def rows_for(self, vehicle: Vehicle) -> dict[str, Tensor]:
-        """Return what belongs into ``rows`` with a vehicle: plain torch on its rows, as in ``interop.rows``."""
+        """Compute the values of ``rows`` for a vehicle, as a row function of ``interop.rows``."""
         vehicle = vehicle if vehicle.mass.dtype == self._dtype else vehicle.to(self._dtype)
         found = {name: rows for name, rows in vehicle.rows().items() if name in self._own}
         if "low" in self._own:
@@ -199,7 +204,7 @@ class Allocation:
         return self.speed(self.allot(wrench).thrust)
 
     def allot(self, wrench: Tensor) -> Allotment:
-        """Return thrusts for a wrench [N, N m], body, (E, 6); where they must be clamped, the shares say 0."""
+        """Return thrusts for a wrench [N, N m], body, (E, 6); clamped thrusts count as shares of 0."""
         if self.saturation == "prioritised":
             return allot(self.inverse, wrench, self.low, self.high)
         thrust = self.thrust(wrench)
@@ -207,31 +212,31 @@ class Allocation:
         return Allotment(thrust, given, given)
 
     def torque_authority(self, weight: float) -> Tensor:
-        """Return the torque [N m], (3,), that the rotors give both ways about each body axis while they carry a weight [N].
+        """Return the torque authority [N m], (3,): the largest torque both ways about each body axis at a weight [N].
 
-        Of the first environment; 0 where there is none.
+        It is that of the first environment; 0 about axes without authority.
         """
         return self.wrench_authority(weight)[3:]
 
     def wrench_authority(self, weight: float) -> Tensor:
-        """Return force [N] and torque [N m], (6,), that the rotors give both ways along each body axis on top of a weight [N].
+        """Return the authority in force [N] and torque [N m], (6,), both ways along each body axis beside a weight [N].
 
-        Of the first environment; 0 where there is none.
+        It is that of the first environment; 0 along axes without authority.
         """
         limit = self._room(weight).amin(0)
-        return torch.where(limit.isfinite(), limit * self.given, 0.0)
+        return torch.where(limit.isfinite(), limit * self.axis_share, 0.0)
 
     @property
-    def given(self) -> Tensor:
-        """Which share of an asked force or torque along each body axis comes, (6,): 1 where they give it by itself, else 0."""
+    def axis_share(self) -> Tensor:
+        """Share of a force or torque along each body axis that the rotors give, (6,): 1 if independently available, else 0."""
         return (self._matrix * self.inverse[0].detach().T).sum(-1)
 
     def limiting_rotors(self, weight: float) -> Tensor:
-        """Return the number from 0 of the rotor that ends ``wrench_authority`` along each axis, int64, (6,)."""
+        """Return the index of the rotor that limits ``wrench_authority`` along each axis, int64, (6,)."""
         return self._room(weight).argmin(0)
 
     def _room(self, weight: float) -> Tensor:
-        """Return the force and torque at which each rotor reaches a limit, if it carries its part of a weight [N], (R, 6)."""
+        """Return the force and torque at which each rotor saturates while the rotors carry a weight [N], (R, 6)."""
         inverse, low, high = self.inverse[0].detach(), self.low[0], self.high[0]
         hover = inverse[:, 2] * weight
         room = torch.minimum(high - hover, hover - low).clamp_min(0.0).unsqueeze(-1)
@@ -240,7 +245,7 @@ class Allocation:
 
     @property
     def idle(self) -> bool:
-        """Whether any rotor has no part in the force along body z, or may come to have none."""
+        """Whether a rotor contributes nothing to the force along body z, or may do so later."""
         return "allocation" in self._own or bool((self.inverse[:, :, 2] == 0.0).any())
 
     def largest_thrust(self) -> float:

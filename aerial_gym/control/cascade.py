@@ -1,7 +1,7 @@
 """Controllers with memory: a law over a rate loop, each at its own rate, with delays between them.
 
-A law of ``control.lee`` is given unit gain on the rate and no inertia: its torque is then the error of the body rates that it
-wants. Without a rate loop the law asks for torque itself, and only its rate and the delay of the action are new.
+A law of ``control.lee`` gets unit rate gain and no inertia, so that its torque is the error of its body-rate setpoint. Without
+a rate loop the law commands torque itself; only its own rate and the delay of the action are new.
 Frames: body is x forward, y left, z up. Letters: E environments, R rotors, U entries of an action, S slots of a ring,
 M remembered numbers, P numbers on their way.
 """
@@ -28,7 +28,7 @@ from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import Vehicle, own_rows, share_row
 
 INTEGRAL_SHARE = 0.5
-"""Of the torque at hover that the integral may take if nothing else is said: the other half stays for manoeuvres."""
+"""Default limit of the integral, as a share of the torque available at hover; the rest remains for manoeuvres."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,13 +39,13 @@ class RateGains:
     integral: Tensor  # [1/s²], (E, 3)
     integral_limit: Tensor  # [rad/s²], (E, 3)
     derivative: Tensor  # [-], (E, 3)
-    smoothing: float  # Share of the new value that the low-pass takes in one run, `1 - exp(-2 pi f dt)`
+    smoothing: float  # Low-pass coefficient of one run, `1 - exp(-2 pi f dt)`
 
 
 def rate_gains(
     cfg: RateLoopCfg, base: LeeGains, vehicle: Vehicle, allocation: Allocation, *, phase_margin: float, dt: float
 ) -> RateGains:
-    """Return the gains of a rate loop that runs every ``dt`` [s]; what is not given follows from the law's own.
+    """Return the gains of a rate loop that runs every ``dt`` [s]; missing ones follow from the law's own.
 
     The proportional gain is the law's on the rate over the inertia. The integral is slower than it by a², with the a of
     ``control.gains``: at the crossover of the attitude loop it costs ``atan 1/a²`` of phase.
@@ -67,21 +67,21 @@ def _given(numbers: tuple[float, ...] | None, derived: Tensor) -> Tensor:
 
 
 def setpoint_gains(base: LeeGains) -> LeeGains:
-    """Return the gains with which a law's torque is the error of the body rates that it wants [rad/s]."""
+    """Return the gains that turn a law's torque into the error of its body-rate setpoint [rad/s]."""
     moves = base.rate > 0.0
     attitude = torch.where(moves, base.attitude / torch.where(moves, base.rate, 1.0), 0.0)
     return replace(base, attitude=attitude, rate=torch.ones_like(base.rate), inertia=torch.zeros_like(base.inertia))
 
 
 OWN_NUMBERS = 9
-"""Of a rate loop: integral (3), derivative (3), angular velocity of the run before (3)."""
+"""Memory of a rate loop: integral (3), derivative (3), angular velocity of the previous run (3)."""
 
 
 class CascadeController(RememberingController):
     """A law with memory; ``command`` is one physics step of it."""
 
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
-        """Take the configuration, the declared vehicle, gravity [m/s²], the physics step [s] and the robot's own settings."""
+        """Derive the gains from configuration, declared vehicle, gravity [m/s²], physics step [s] and robot settings."""
         law, loop = LAWS[cfg.law], cfg.rate_loop
         self.timing = timing = timing_of(cfg, dt)
         self.action_names, self._law = law.action, law
@@ -117,7 +117,7 @@ class CascadeController(RememberingController):
     def _run_loop(
         self, gains: RateGains, ang_vel: Tensor, setpoint: Tensor, memory: LawMemory
     ) -> tuple[Tensor, Tensor]:
-        """Return rotor speeds (E, R) and the numbers after one run of the rate loop."""
+        """Return rotor speeds (E, R) and the new memory after one run of the rate loop."""
         integral, slope, before = memory.numbers[:, :9].split(3, dim=-1)
         span = self.timing.loop * self.timing.dt
         begins = (memory.since == 0).unsqueeze(-1)
@@ -129,26 +129,26 @@ class CascadeController(RememberingController):
         torque = torque + torch.linalg.cross(ang_vel, (self._inertia * ang_vel.unsqueeze(1)).sum(-1))
         allotted = self.allocation.allot(wrench_from(setpoint[:, 0], torque))
         given = torch.cat((allotted.turn, allotted.turn, allotted.rest), dim=-1)
-        grows = (given >= 1.0) | (error * wanted <= 0.0)  # no further where the rotors give less than was asked
+        grows = (given >= 1.0) | (error * wanted <= 0.0)  # stops while the rotors saturate
         integral = integral + torch.where(grows, gains.integral * span * error, 0.0)
         integral = torch.minimum(torch.maximum(integral, -gains.integral_limit), gains.integral_limit)
         return self.allocation.speed(allotted.thrust), torch.cat((integral, slope, ang_vel), dim=-1)
 
     @property
     def gains_by_name(self) -> dict[str, Tensor]:
-        """The law's gains; over a rate loop that on attitude is body rate per error [1/s], and that on the rate, 1, is none."""
+        """Gains of the law; over a rate loop the attitude gain is body rate per error [1/s], and there is no rate gain."""
         names = GAINS if self.rate_gains is None else GAINS[:-1]
         return {name: getattr(self.gains, name) for name in names}
 
     def own_gains(self) -> None:
-        """Give each environment rows (E, 3) of its own, to be written in place; call it before ``fused``."""
+        """Give each environment its own writable rows (E, 3); call it before ``fused``."""
         self.gains = with_own_rows(self.gains)
         if self.rate_gains is not None:
             rows = {name: own_rows(rows) for name, rows in vars(self.rate_gains).items() if isinstance(rows, Tensor)}
             self.rate_gains = replace(self.rate_gains, **rows)
 
     def fused(self) -> FusedLaw | None:
-        """Return the twin in Warp."""
+        """Return the Warp version of the law."""
         if self._law.fused is None:
             return None
         has_loop = self.rate_gains is not None

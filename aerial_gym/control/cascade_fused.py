@@ -1,6 +1,6 @@
-"""Controllers with memory, the twin of ``control.cascade`` for one environment in the fused kernel.
+"""Controllers with memory in the fused kernel: the Warp version of ``control.cascade``.
 
-What is remembered stands in device memory: a level that is not due costs one comparison.
+Their memory is in device memory; a level that is not due costs one comparison.
 """
 
 from collections.abc import Callable
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @wp.struct
 class CascadeGains:
-    """Those of the law, and those of the rate loop."""
+    """Gains of the law and of the rate loop."""
 
     lee: Gains
     proportional: wp.vec3  # [1/s]
@@ -38,7 +38,7 @@ class CascadeGains:
 def maker(
     lee_law: "Law", timing: Timing, layout: "Layout", *, has_loop: bool
 ) -> Callable[[FusedLaw, int, bool], wp.Function]:
-    """Return what composes the controller for a number of rotors: ``FusedLaw.make_stateful_step``."""
+    """Return ``FusedLaw.make_stateful_step`` of the controller."""
 
     def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
         if has_loop:
@@ -54,13 +54,13 @@ def maker(
 def make_remembering(
     law: FusedLaw, num_rotors: int, general: bool, timing: Timing, layout: "Layout", run: wp.Function
 ) -> wp.Function:
-    """Return a function of one physics step: from motion and action to commanded rotor speeds [rad/s]; memory is written.
+    """Return the function of one physics step, from motion and action to commanded rotor speeds [rad/s]; it updates the memory.
 
-    Twin of ``remembering.RememberingController.command``.
+    It is the Warp version of ``remembering.RememberingController.command``.
 
     Args:
-        general: Whether rotors are of any kind.
-        layout: Where numbers stand.
+        general: Whether to support every kind of rotor.
+        layout: Offsets into the memory.
         run: ``wp.func`` of one run, with the arguments of ``remembering`` below and ``since``.
     """
     types = rotor_types(num_rotors, general)
@@ -111,7 +111,7 @@ def make_one_level(law: FusedLaw, num_rotors: int, general: bool, lee_law: "Law"
 
 
 def make_wish(law: FusedLaw, lee_law: "Law") -> wp.Function:
-    """Return the thrust [N] and the body rates [rad/s] that a geometric law wants of its rate loop."""
+    """Return the function from motion and action to thrust [N] and body-rate setpoint [rad/s] of a geometric law."""
     action_type, gains_type = vector_type(law.num_actions), law.gains_type
     law_wrench, prepare = lee_law.fused, preparation(lee_law.prepare, law.num_actions)
 
@@ -129,7 +129,7 @@ def make_wish(law: FusedLaw, lee_law: "Law") -> wp.Function:
 def make_two_levels(
     law: FusedLaw, num_rotors: int, general: bool, timing: Timing, wish: wp.Function, run_loop: wp.Function
 ) -> wp.Function:
-    """Return the run of a law over a rate loop, with what is on its way between them."""
+    """Return the run of a law over a rate loop, with the delayed setpoints between them."""
     types = rotor_types(num_rotors, general)
     command_type, vector, action_type = types.command, types.vector, vector_type(law.num_actions)
     gains_type, period, slots, delay = law.gains_type, timing.law, timing.setpoint_slots, timing.delay
@@ -155,7 +155,7 @@ def make_two_levels(
 
 
 def make_late_action(num_actions: int, timing: Timing, layout: "Layout") -> wp.Function:
-    """Return a function to the action that has come through; the one of this step is on its way."""
+    """Return the delay of actions: a function that stores the new action and returns the delayed one."""
     action_type, first = vector_type(num_actions), layout.actions
     slots, delay = timing.action_slots, timing.action_delay
 
@@ -177,7 +177,7 @@ def make_late_action(num_actions: int, timing: Timing, layout: "Layout") -> wp.F
 
 
 def make_allot(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
-    """Return ``Allocation.allot``: thrusts and the shares of the wanted torque that they give."""
+    """Return the Warp version of ``Allocation.allot``: thrusts, and the shares of the wanted torque that they give."""
     types, prioritised = rotor_types(num_rotors, general), law.saturation == "prioritised"
     limited = make_limited(num_rotors, general)
     command_type, thrust_for = (
@@ -198,7 +198,7 @@ def make_allot(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
 
 
 def make_rate_loop(law: FusedLaw, num_rotors: int, general: bool, timing: Timing) -> wp.Function:
-    """Return ``CascadeController._run_loop``."""
+    """Return the Warp version of ``CascadeController._run_loop``."""
     types = rotor_types(num_rotors, general)
     command_type, vector, period = types.command, types.vector, float(timing.loop)
     allot, speed_of = make_allot(law, num_rotors, general), make_speed_of(num_rotors, general)

@@ -1,4 +1,4 @@
-"""Every controller that comes with the package, in one table."""
+"""The table of registered controllers."""
 
 from dataclasses import replace
 
@@ -64,7 +64,7 @@ for _name, _kind, _own in (
 
 
 def _gains_of(robot: str) -> LeeGainsCfg:
-    """Return the published gains of a robot: those in a file of their own, else those in the robot file."""
+    """Read the published gains of a robot from its gains file, else from the robot file."""
     own = CONFIG_DIR / "controllers" / f"{robot}_gains.yaml"
     if own.is_file():
         return load(LeeGainsCfg, own)
@@ -74,7 +74,7 @@ def _gains_of(robot: str) -> LeeGainsCfg:
 
 
 def _register_with_gains(name: str, base: str, summary: str, robot: str) -> None:
-    """Register a controller with a robot's published gains, whose file is read when it is first asked for."""
+    """Register a controller with a robot's published gains; the file is read at first use."""
     CONTROLLERS.register_later(
         name,
         lambda: replace(CONTROLLERS.get(base), summary=summary, gains=_gains_of(robot)),

@@ -31,24 +31,24 @@ WITH_MEMORY = {
     "crazyflie_lee": Home("aerial_gym.control.crazyflie.controller:CrazyflieLeeController"),
     "brescianini": Home("aerial_gym.control.crazyflie.controller:BrescianiniController"),
 }
-"""Controllers with rates or memory, by the field of ``ControllerCfg`` that has the parameters of their autopilot; imported when
-one is first asked for."""
+"""Controllers with rates or memory, by the field of ``ControllerCfg`` with their autopilot's parameters; imported at first
+use."""
 
 OF_PX4 = ("position", "velocity", "attitude", "rates")
-"""Laws that PX4's cascade has."""
+"""Laws of PX4's cascade."""
 
 __path__: list[str] = []  # scripts of another simulator import modules below this name: aerial_gym.compat.modules
 
 
 class Controller(Protocol):
-    """What a robot needs of a controller."""
+    """Interface of a controller."""
 
     action_names: tuple[str, ...]
     """Meaning and unit of each entry of the action."""
 
     @property
     def gains_by_name(self) -> Mapping[str, Tensor]:
-        """Gains that ``randomize:`` knows as ``gains.NAME``, by these names, (E, 3); whoever has any has ``own_gains`` too."""
+        """Gains by their names in ``randomize:`` (``gains.NAME``), (E, 3); a controller with gains has ``own_gains`` too."""
         ...
 
     def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
@@ -56,7 +56,7 @@ class Controller(Protocol):
         ...
 
     def fused(self) -> FusedLaw | None:
-        """Return the law as Warp code for the fused backend, or None if there is none."""
+        """Return the law as Warp code for the fused backend; None without one."""
         ...
 
 
@@ -67,12 +67,12 @@ class ThrustController:
     """It has none."""
 
     def __init__(self, vehicle: Vehicle, gravity: float, control: ControlCfg) -> None:
-        """Take the declared vehicle, gravity [m/s²] and the robot's own settings."""
+        """Compute the allocation from the declared vehicle, gravity [m/s²] and robot settings."""
         self.action_names = tuple(f"thrust {i + 1} [N]" for i in range(vehicle.num_rotors))
         self.allocation = Allocation(vehicle, gravity, effectiveness=control.effectiveness)
 
     def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
-        """Return the speeds of the thrusts."""
+        """Return the rotor speeds for the clamped thrusts."""
         del state
         return self.allocation.speed(action)
 
@@ -88,7 +88,7 @@ class RotorSpeedController:
     """It has none."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Take the declared vehicle."""
+        """Read the speed limits of the declared vehicle."""
         force = (vehicle.thrust_map[0, :, 2] == 0.0).tolist()  # in force mode the state is the thrust
         self.action_names = tuple(f"thrust {i} [N]" if f else f"speed {i} [rad/s]" for i, f in enumerate(force, 1))
         self._vehicle = vehicle
@@ -114,11 +114,11 @@ class LeeController:
     def __init__(
         self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float | None, control: ControlCfg
     ) -> None:
-        """Take the configuration, the declared vehicle, gravity [m/s²], the time step [s] and the robot's own settings."""
+        """Derive the gains from configuration, declared vehicle, gravity [m/s²], time step [s] and robot settings."""
         law = LAWS[cfg.law]
         self.action_names, self._law = law.action, law
         self.allocation = Allocation(vehicle, gravity, saturation=cfg.allocation, effectiveness=control.effectiveness)
-        if law.lateral and not bool((self.allocation.given > 0.999).all()):
+        if law.lateral and not bool((self.allocation.axis_share > 0.999).all()):
             raise ConfigError(
                 f"law {cfg.law!r}: pushes sideways without leaning, and the rotors of this vehicle do not. Take "
                 "lee_position_control, or a robot with rotors that point in several directions (aerial-gym robot check: rank 6)"
@@ -127,11 +127,11 @@ class LeeController:
 
     @property
     def gains_by_name(self) -> dict[str, Tensor]:
-        """All of its gains."""
+        """All gains of the law."""
         return {name: getattr(self.gains, name) for name in GAINS}
 
     def own_gains(self) -> None:
-        """Give each environment rows (E, 3) of its own in ``gains``, to be written in place; call it before ``fused``."""
+        """Give each environment its own writable rows (E, 3) in ``gains``; call it before ``fused``."""
         self.gains = with_own_rows(self.gains)
 
     def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
@@ -139,7 +139,7 @@ class LeeController:
         return self.allocation.speed_for_wrench(self._law.wrench(state, action, self.gains))
 
     def fused(self) -> FusedLaw | None:
-        """Return the law's twin in Warp with these gains and the allocation."""
+        """Return the Warp version of the law with its gains and allocation."""
         if self._law.fused is None:
             return None
         return _fused(
@@ -182,11 +182,11 @@ def make_controller(
 
     Args:
         gravity: Downward acceleration of free fall [m/s²].
-        dt: Time step of the law [s]; needed by the geometric laws where gains are derived.
-        control: What the robot file says of its control (``RobotCfg.control``); nothing if not given.
+        dt: Time step of the law [s]; needed to derive gains of geometric laws.
+        control: Control settings of the robot file (``RobotCfg.control``).
 
     Raises:
-        ConfigError: If the law is unknown or needs a weight, or gains must be derived and there is no time step.
+        ConfigError: If the law is unknown, needs a weight, or needs a time step to derive gains.
     """
     control = ControlCfg() if control is None else control
     if cfg.law == "thrust":
@@ -195,20 +195,20 @@ def make_controller(
         return RotorSpeedController(vehicle)
     if cfg.law in LAWS and gravity == 0.0:
         raise ConfigError(
-            f"gravity = {gravity!r}: the law {cfg.law!r} holds a vehicle against its weight; without weight use no_control or "
+            f"gravity = {gravity!r}: the law {cfg.law!r} needs a weight. Without gravity use no_control or "
             "rotor_speed_control"
         )
     if cfg.px4 is not None and cfg.law not in OF_PX4:
-        raise ConfigError(f"law {cfg.law!r}: PX4's cascade has none. It has {', '.join(OF_PX4)}")
+        raise ConfigError(f"law {cfg.law!r}: not in PX4's cascade. Take one of {', '.join(OF_PX4)}")
     if cfg.law in LAWS and LAWS[cfg.law].lateral and remembers(cfg):
-        raise ConfigError(f"law {cfg.law!r}: runs at every physics step and without a rate loop. Leave those out")
+        raise ConfigError(
+            f"law {cfg.law!r}: runs at every physics step without a rate loop. Remove rates, delays and the loop"
+        )
     if cfg.law in LAWS and not remembers(cfg):
         return LeeController(cfg, vehicle, gravity, dt=dt, control=control)
     if cfg.law in LAWS:
         if dt is None:
-            raise ConfigError(
-                f"law {cfg.law!r}: a controller with rates or memory is built for one time step. Give dt [s]"
-            )
+            raise ConfigError(f"law {cfg.law!r}: a controller with rates or memory needs a time step. Give dt [s]")
         return WITH_MEMORY[cfg.autopilot].load()(cfg, vehicle, gravity, dt=dt, control=control)
     known = ", ".join(("thrust", "rotor_speed", *LAWS))
     raise ConfigError(f"ControllerCfg.law = {cfg.law!r}: unknown. Known: {known}")

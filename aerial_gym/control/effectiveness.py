@@ -15,15 +15,15 @@ from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, state_for_thru
 from aerial_gym.physics.vehicle import Vehicle
 
 PRIORITY = (3, 4, 2, 5, 0, 1)
-"""Rows of the matrix by what matters most: torque of roll and pitch, thrust, torque of yaw, force forwards and to the left."""
+"""Rows of the matrix by priority: roll and pitch torque, thrust, yaw torque, force forwards and to the left."""
 
 OF_ITS_OWN = 0.1
-"""Share of a row, orthogonal to those before it, from which on it is taken as one more. Any below ``1 / sqrt(6)`` finds as many
-as the rank: of a row space that is not covered yet, some of the six unit vectors has that share."""
+"""Least orthogonal share of a row that counts as a further independent axis. Any value below ``1 / sqrt(6)`` finds as many as
+the rank: one of the six unit vectors has that share in an uncovered direction."""
 
 DEPENDENT = 1e-5
-"""Share of the length of a row, orthogonal to those before it, below which nothing is asked of it: round-off of float32 leaves
-some 1e-6 of a row that depends on others, and an inverse would make a command of it."""
+"""Orthogonal share of a row's length below which the row is treated as dependent: round-off of float32 leaves some 1e-6,
+which an inverse would amplify."""
 
 
 def allocation_matrix(vehicle: Vehicle, gravity: float) -> Tensor:
@@ -45,42 +45,42 @@ def allocation_matrix(vehicle: Vehicle, gravity: float) -> Tensor:
 
 
 def pseudo_inverse(matrix: Tensor) -> Tensor:
-    """Return the pseudo-inverse (..., R, 6) without its round-off."""
+    """Return the pseudo-inverse (..., R, 6), with round-off set to 0."""
     return _without_round_off(torch.linalg.pinv(matrix), matrix)
 
 
 def _without_round_off(inverse: Tensor, matrix: Tensor) -> Tensor:
-    """Return an inverse (..., R, 6) in which a rotor that has no part in something is told so exactly."""
+    """Set entries of an inverse (..., R, 6) that are round-off to exactly 0."""
     part = inverse.detach().abs() * matrix.detach().abs().amax(-1).unsqueeze(-2)
     return torch.where(part > NEGLIGIBLE, inverse, 0.0)
 
 
 @dataclass(frozen=True)
 class Actuation:
-    """The forces and torques that are asked of rotors: as many as they give independently of each other, by ``PRIORITY``.
+    """Commanded forces and torques: as many as the rotors give independently, by ``PRIORITY``.
 
-    What comes with these is let happen: the lateral force of tilted rotors, the yaw torque of rotors that turn one way.
+    Side effects are accepted: the lateral force of tilted rotors, the yaw torque of rotors with equal spin.
     """
 
     axes: tuple[int, ...]  # Rows of the effectiveness matrix, N of them, in the order of `PRIORITY`
     lengths: tuple[float, ...]  # Of these rows
 
-    def asked(self, matrix: Tensor) -> Tensor:
-        """Return an effectiveness matrix (..., 6, R) with zeros in the rows of which nothing is asked."""
+    def mask_rows(self, matrix: Tensor) -> Tensor:
+        """Return an effectiveness matrix (..., 6, R) with zeros in uncommanded rows."""
         kept = torch.zeros(6, 1, dtype=torch.bool, device=matrix.device)
         kept[list(self.axes)] = True
         return torch.where(kept, matrix, 0.0)
 
 
 def actuation_of(matrix: Tensor) -> Actuation:
-    """Return the forces and torques that one vehicle's rotors can give independently, from its effectiveness matrix (6, R).
+    """Find the independent forces and torques of one vehicle from its effectiveness matrix (6, R).
 
     An axis counts if enough of it, in the range of the matrix, is orthogonal to the axes of higher priority. The CPU computes
     this: a GPU loads its library of linear algebra at the first decomposition, which takes 0.5 s.
     """
     exact = matrix.detach().double().cpu()
     left, size, _ = torch.linalg.svd(exact, full_matrices=False)
-    span = left[:, size > max(exact.shape) * torch.finfo(torch.float32).eps * size[0]]  # as torch.linalg.pinv has it
+    span = left[:, size > max(exact.shape) * torch.finfo(torch.float32).eps * size[0]]  # as in torch.linalg.pinv
     directions, axes = exact.new_zeros(0, span.shape[1]), []
     for axis in PRIORITY:
         rest = span[axis] - directions.T @ (directions @ span[axis])
@@ -91,17 +91,17 @@ def actuation_of(matrix: Tensor) -> Actuation:
 
 
 def right_inverse(matrix: Tensor, actuation: Actuation) -> Tensor:
-    """Return the least thrusts for each force and torque that ``actuation`` asks for, (E, R, 6), without round-off.
+    """Return the least-norm thrusts per commanded force and torque, (E, R, 6), without round-off.
 
-    It is the pseudo-inverse of these rows A of the effectiveness matrix, ``A^+ = A^T (A A^T)^-1``, with zeros for the others:
-    what is asked for is given exactly. Where a row depends on those before it, nothing is asked of it.
+    It is the pseudo-inverse of the commanded rows A of the effectiveness matrix, ``A^+ = A^T (A A^T)^-1``, with zeros for the
+    others, so that commands are met exactly. A row that depends on those before it gets zeros.
 
-    Plain arithmetic on rows: differentiable, and traced into a kernel. Rows are made orthogonal one after the other (modified
-    Gram-Schmidt), ``A = L Q``, so that ``A^+ = Q^T L^-1``.
+    The arithmetic is differentiable and can be traced into a kernel: modified Gram-Schmidt gives ``A = L Q``, hence
+    ``A^+ = Q^T L^-1``.
 
     Args:
         matrix: Control effectiveness of each environment, (E, 6, R).
-        actuation: What is asked of the rotors of the nominal vehicle.
+        actuation: Commanded forces and torques of the nominal vehicle.
 
     Source:
         Golub, Van Loan (2013), Matrix Computations, 5.2.8 and 5.6: QR of A^T for the least-norm solution.

@@ -1,12 +1,12 @@
-"""Gains from the vehicle: what its inertia, rotor lag and thrust limits, and the time step allow.
+"""Controller gains derived from the vehicle's inertia, rotor lag and thrust limits, and from the time step.
 
 Both loops have the form ``1 / (s² (T s + 1))`` with all small lags in one T. A proportional and derivative law around it is
 best placed about the crossover ``1 / (a T)``, half way between its zero at ``1 / (a² T)`` and the lag at ``1 / T``: the phase
 margin there is ``atan a - atan 1/a`` and the largest that this T allows. It gives the natural frequency ``1 / (a^1.5 T)`` and
 the damping ratio ``sqrt(a) / 2``.
 
-- Attitude: T is the rotor lag plus one time step (the command is held for one, and the stepper adds less than half of one).
-- Position: T is the lag of the closed attitude loop, ``2 z / w``, so that it is slower than attitude by the same margin.
+- Attitude: T is the rotor lag plus one time step (half a step of hold on average, and less than half from the integrator).
+- Position: T is the lag of the closed attitude loop, ``2 z / w``, which gives the same margin.
 
 Source: Kessler (1958), Das symmetrische Optimum, Regelungstechnik 6, 395-400; in English Preitl, Precup (1999), An extension of
 tuning relations after symmetrical optimum method for PI and PID controllers, Automatica 35(10), 1731-1736 (a² is beta there).
@@ -31,11 +31,11 @@ GAINS = ("position", "velocity", "attitude", "rate")
 """Fields of ``LeeGains`` that may be given and drawn, each (E, 3)."""
 
 LARGEST_INCLINATION = pi / 3
-"""Of a vehicle with thrust to spare [rad]. Source: Aerial Gym Simulator 2.0.1, max_inclination_angle_rad."""
+"""Largest tilt with ample thrust [rad]. Source: Aerial Gym Simulator 2.0.1, max_inclination_angle_rad."""
 
 
 LEAST_GRAVITY = 1.0
-"""Against which a leaning thrust accelerates sideways by 1.7 m/s² at most, at ``LARGEST_INCLINATION`` [m/s²]."""
+"""Least apparent gravity of laws that tilt their thrust [m/s²]; lateral acceleration is then at most 1.7 m/s²."""
 
 
 def loop_shape(lag: float, phase_margin: float) -> tuple[float, float]:
@@ -48,23 +48,22 @@ def loop_shape(lag: float, phase_margin: float) -> tuple[float, float]:
 
 
 def spacing_of(phase_margin: float) -> float:
-    """Return the factor a between zero, crossover and lag of a loop with a phase margin [rad]."""
+    """Return the frequency ratio a between zero, crossover and lag of a loop with a phase margin [rad]."""
     return tan(0.25 * pi + 0.5 * phase_margin)
 
 
 def derived_gains(
     cfg: ControlCfg, vehicle: Vehicle, allocation: Allocation, *, gravity: float, dt: float, extra_lag: float = 0.0
 ) -> LeeGains:
-    """Return the gains of a declared vehicle, the same in all environments.
+    """Derive the gains of a declared vehicle, equal in all environments.
 
-    About each body axis the attitude loop is at most so quick that the largest attitude error, 1, asks for no more torque than
-    the rotors give at hover (``sqrt`` of the angular acceleration): weak yaw is slow, and without yaw torque it is left alone.
+    The bandwidth of attitude about each axis is limited by torque: the largest attitude error, 1, needs no more than the
+    rotors give at hover (``sqrt`` of the angular acceleration). So weak yaw is slow, and without yaw torque it is uncontrolled.
 
     Args:
         gravity: Downward acceleration of free fall [m/s²].
         dt: Time step of the control law [s].
-        extra_lag: By which attitude is seen later than body rates [s]; the rate of turning stays what it is, and attitude is
-            slower.
+        extra_lag: Additional delay of attitude over body rates [s]; it slows attitude and leaves the rate gain unchanged.
     """
     first = vehicle.inertia[0]
     inertia = first.diagonal()
@@ -94,7 +93,7 @@ def derived_gains(
 
 
 def _slowed(frequency: Tensor, damping: Tensor, lag: float) -> tuple[Tensor, Tensor]:
-    """Return frequency and damping with the same gain on the rate, ``2 z w``, and a closed loop later by ``lag`` [s]."""
+    """Return frequency and damping with the same rate gain, ``2 z w``, and a closed loop slower by ``lag`` [s]."""
     moves = frequency > 0.0
     rate = 2.0 * damping * frequency
     slower = (rate / (torch.where(moves, 2.0 * damping / torch.where(moves, frequency, 1.0), 1.0) + lag)).sqrt()
@@ -106,12 +105,12 @@ def _given(numbers: tuple[float, ...] | None, derived: Tensor) -> Tensor:
 
 
 def _lag_of(frequency: Tensor, damping: Tensor) -> float:
-    """Return the longest lag ``2 z / w`` [s] of closed loops; 0 where an axis is left alone."""
+    """Return the longest lag ``2 z / w`` [s] of closed loops; 0 if an axis is uncontrolled."""
     return float((2.0 * damping / frequency).max()) if bool((frequency > 0.0).all()) else 0.0
 
 
 def derived_inclination(vehicle: Vehicle, allocation: Allocation, gravity: float) -> float:
-    """Return the tilt [rad] at which the vertical part of the weight and half of the surplus thrust is the weight.
+    """Return the tilt limit [rad]: there, thrust of weight plus half the surplus has the weight as its vertical part.
 
     Derived: ``cos tilt (1 + (F / (m g) - 1) / 2) = 1`` with the largest thrust F along body z.
     """
@@ -123,19 +122,19 @@ def derived_inclination(vehicle: Vehicle, allocation: Allocation, gravity: float
 
 
 def explicit_gains_of(cfg: ControllerCfg, control: ControlCfg) -> LeeGainsCfg | None:
-    """Return the explicit gains of a controller, or of the robot; None where they are derived."""
+    """Return the explicit gains of a controller, else of the robot; None for derived gains."""
     return cfg.gains if cfg.gains is not None else control.gains
 
 
 def has_explicit_gains(cfg: ControllerCfg, control: ControlCfg) -> bool:
-    """Return whether any gain is someone's own, given for the controller or the robot."""
+    """Return whether the controller or the robot gives any explicit gain."""
     if cfg.autopilot is not None:
         return autopilot_of(cfg, control).explicit
     return explicit_gains_of(cfg, control) is not None
 
 
 def autopilot_of(cfg: ControllerCfg, control: ControlCfg) -> Any:
-    """Return the parameters of a controller's autopilot: the robot's where it has none of its own; its own rate in any case."""
+    """Return the autopilot parameters of a controller, else those of the robot, with the controller's own rate."""
     assert cfg.autopilot is not None
     own, of_robot = getattr(cfg, cfg.autopilot), getattr(control, cfg.autopilot)
     if own.explicit or of_robot is None:
@@ -154,10 +153,10 @@ def gains_for(
     dt: float | None,
     extra_lag: float = 0.0,
 ) -> LeeGains:
-    """Return the gains of a controller: explicit ones where there are any, else ``derived_gains``.
+    """Return the explicit gains of a controller, or else ``derived_gains``.
 
     Raises:
-        ConfigError: If gains must be derived and there is no time step, or the law needs a weight that water carries.
+        ConfigError: If derived gains lack a time step, or buoyancy carries the weight that the law needs.
     """
     gravity = apparent_gravity(control, float(vehicle.mass[0]), gravity)
     _require_weight(cfg.law, gravity)
@@ -170,21 +169,21 @@ def gains_for(
 
 
 def apparent_gravity(control: ControlCfg, mass: float, gravity: float) -> float:
-    """Return the gravity [m/s²] that is left for the rotors of a mass [kg] to hold, with the buoyancy that is declared."""
+    """Return gravity less the declared buoyancy per mass [m/s²], which the rotors of a mass [kg] carry."""
     return gravity - control.buoyancy / mass
 
 
 def _require_weight(law: str, gravity: float) -> None:
-    """Raise ``ConfigError`` for a law that leans its thrust against the weight, where water carries that."""
+    """Raise ``ConfigError`` for a law that tilts its thrust if buoyancy carries the weight."""
     if law != "pose" and gravity < LEAST_GRAVITY:
         raise ConfigError(
-            f"law {law!r}: moves sideways by leaning against the weight, of which water leaves {gravity:.3g} N per kg "
-            f"(control: buoyancy); needs {LEAST_GRAVITY:g}. Take rov_fully_actuated_control"
+            f"law {law!r}: moves sideways by tilting its thrust, but buoyancy leaves only {gravity:.3g} N per kg "
+            f"(control: buoyancy) of {LEAST_GRAVITY:g} needed. Take rov_fully_actuated_control"
         )
 
 
 def explicit_gains(cfg: LeeGainsCfg, vehicle: Vehicle, gravity: float) -> LeeGains:
-    """Return the given gains, the same in all environments."""
+    """Return the given gains, equal in all environments."""
     return LeeGains(
         **{name: vehicle.share(getattr(cfg, name)) for name in GAINS},
         mass=vehicle.mass,
@@ -196,9 +195,9 @@ def explicit_gains(cfg: LeeGainsCfg, vehicle: Vehicle, gravity: float) -> LeeGai
 
 
 def ends_of(name: str, cfg: RandomizeCfg, declared: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the lowest and the highest rows (E, 3) that are drawn of a gain, of which all environments have one row.
+    """Return the lowest and highest drawn values (E, 3) of a gain with one shared row, at least 0.
 
-    They are not below 0: what draws such gains is refused where it is drawn.
+    Ranges with negative gains are refused elsewhere.
     """
     reached = cfg.reached(f"gains.{name}", declared[0].tolist(), spread=LARGEST_NORMAL)
     low, high = (declared.new_tensor(ends).clamp_min(0.0) for ends in zip(*reached, strict=True))
@@ -206,5 +205,5 @@ def ends_of(name: str, cfg: RandomizeCfg, declared: Tensor) -> tuple[Tensor, Ten
 
 
 def with_own_rows(gains: LeeGains) -> LeeGains:
-    """Return gains with a row of each environment's own, (E, 3), that may be written in place."""
+    """Return gains with own writable rows of each environment, (E, 3)."""
     return replace(gains, **{name: own_rows(getattr(gains, name)) for name in GAINS})

@@ -1,7 +1,7 @@
-"""Where vehicles under a law hover, and how they get there: the rest of the closed loop, and its response to a start.
+"""Hover of vehicles under a control law: the equilibrium of the closed loop, and the response to a start beside it.
 
-A law without an integrator answers a constant force or torque that it does not know of with an error: the vehicle rests beside
-its setpoint. Newton's method on the map of a period finds that rest; the loop linearised there gives the flight towards it.
+A law without integrator has a steady error under an unknown constant force or torque: the vehicle hovers beside its setpoint.
+Newton's method on the map of a period finds this equilibrium (rest); the loop linearised there gives the flight towards it.
 Letters: B vehicles under one law, R rotors, U entries of an action, X numbers of the state vector.
 """
 
@@ -17,71 +17,71 @@ from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.torch_backend import TorchBackend
 
 HOVER_SPAN = 10.0
-"""Of a flight at hover [s]."""
+"""Duration of a flight at hover [s]."""
 
 HOVER_RANGE = 0.1
-"""Distance from its setpoint within which a vehicle hovers [m]."""
+"""Largest distance from the setpoint that counts as hover [m]."""
 
 DISTURBANCE = (0.1, 0.1, 0.2, 0.2)
-"""Distance [m], turn [rad], speed [m/s] and rate [rad/s] of a flown start from hover, along each axis. Source: speed and rate
-are those that ``InitialStateCfg`` draws by default."""
+"""Initial deviation of a flight from hover along each axis: position [m], attitude [rad], speed [m/s] and rate [rad/s].
+Source: speed and rate are the default ranges of ``InitialStateCfg``."""
 
 NUM_STARTS = 4
-"""Flown side by side: other corners of a cube for each quantity."""
+"""Number of flights in a batch, from different corners of a cube for each quantity."""
 
 LOOK = 0.05
-"""Time between two looks at a flight [s]."""
+"""Time between two checks of a flight [s]."""
 
 LAST = 1.0
-"""Span at the end of a flight in which it must be at hover [s]."""
+"""Final part of a flight that must be at hover [s]."""
 
 QUIET = 0.1
-"""Share of ``DISTURBANCE`` that meets no limit of the rotors."""
+"""Share of ``DISTURBANCE`` that saturates no rotor."""
 
 LOST = 2.0
-"""Distance [m] at which a flight is given up: several times the way of one that comes back from ``DISTURBANCE``."""
+"""Distance [m] at which a flight counts as lost: several times that of flights that return from ``DISTURBANCE``."""
 
 SAMPLES = 40
-"""Moments of that flight."""
+"""Number of times in the linear response."""
 
 ITERATIONS = 12
-"""Of Newton's method."""
+"""Largest number of Newton iterations."""
 
 SETTLED = 1e-5
-"""Last change of Newton's method: in the units of ``AXES``, of rotors and memory as a share of their size."""
+"""Convergence limit of Newton's change: in the units of ``AXES``, relative for rotors and memory."""
 
 LARGEST_TURN = 0.3
-"""Of one iteration [rad]: beyond it the loop is not linear."""
+"""Largest rotation of one iteration [rad]; beyond it the loop is not linear."""
 
 DEPENDENT = 1e-12
-"""Singular value, as a share of the largest, of directions in which a loop is at rest anywhere."""
+"""Relative singular value of directions in which every state is an equilibrium."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rest:
-    """The states at which closed loops come to rest, if they do, and the loops about them."""
+    """Equilibria of closed loops, and the loops linearised there."""
 
     start: Tensor  # First states, (B, X): the rest of a vehicle that flies as its law expects
-    state: Tensor  # Of rest, (B, X); those of the start where there is none
-    converged: Tensor  # Whether there is one, bool (B,): none if a law demands too much thrust or tilt
-    loop: LinearLoop  # Linearised there
+    state: Tensor  # Equilibrium, (B, X); the start without one
+    converged: Tensor  # Whether an equilibrium exists, bool (B,): none does beyond the limits of thrust or tilt
+    loop: LinearLoop  # Loop linearised at the equilibrium
 
     @property
     def offset(self) -> Tensor:
-        """Body origin from its start [m], world, (B, 3)."""
+        """Offset of the body origin from its start [m], world, (B, 3)."""
         return (self.state - self.start)[:, :3]
 
     @property
     def drift(self) -> Tensor:
-        """Velocity [m/s], world, (B, 3): 0 of a law that holds a place."""
+        """Velocity [m/s], world, (B, 3): 0 for position control."""
         return self.state[:, 6:9]
 
 
 def find_rest(loop: SampledLoop, start: Tensor, action: Tensor, kept: Sequence[int]) -> Rest:
-    """Return the rest of loops, from starts (B, X) on, under an action (U,).
+    """Find the equilibrium of loops from starts (B, X) under an action (U,), by Newton's method.
 
     Args:
-        kept: Numbers of the state vector that the law brings to rest; others stay as they are.
+        kept: Indices of controlled states; all others stay constant.
     """
     state, about = start, loop.linearised(start, action)
     for _ in range(ITERATIONS):
@@ -98,7 +98,7 @@ def find_rest(loop: SampledLoop, start: Tensor, action: Tensor, kept: Sequence[i
 
 
 def _newton_step(loop: LinearLoop, kept: Sequence[int]) -> Tensor:
-    """Return the changes of the states (B, X) after which a period changes nothing, of least size where there are several."""
+    """Return Newton's change of the states (B, X), of least norm if there are several."""
     mapped = loop.period_map(late=False)
     change, rows = mapped[:, :-1, -1], torch.tensor(kept)
     slopes = mapped[:, rows][:, :, rows]
@@ -109,10 +109,10 @@ def _newton_step(loop: LinearLoop, kept: Sequence[int]) -> Tensor:
 
 
 def distances(rest: Rest, *, rotors: Tensor, dt: float) -> Tensor:
-    """Return the distances [m] of the body origins from their starts at moments of ``HOVER_SPAN``, (SAMPLES, B), linearised.
+    """Return the distances [m] of the body origins from their starts over ``HOVER_SPAN``, (SAMPLES, B), in the linear loop.
 
     Args:
-        rotors: Their states at the start, which they keep until the first command has come, (R,).
+        rotors: Their states at the start, constant until the first command arrives, (R,).
         dt: Physics step [s].
     """
     loop, begin = rest.loop, rest.start - rest.state
@@ -127,14 +127,14 @@ def distances(rest: Rest, *, rotors: Tensor, dt: float) -> Tensor:
 
 
 def flown_distance(loop: SampledLoop, rest: Rest, action: Tensor, *, returns: bool, decays: bool) -> float:
-    """Return the largest distance [m] from rest at the end of ``NUM_STARTS`` flights of ``HOVER_SPAN``, limits and all.
+    """Return the largest final distance [m] from rest of ``NUM_STARTS`` nonlinear flights of ``HOVER_SPAN``.
 
     Args:
         loop: Vehicles and law; the first one flies.
-        rest: Of the loop; the flights begin about its start.
-        action: Told to the law, (U,).
-        returns: Whether the law holds a place; else the distance counts from where a flight is ``LAST`` before its end.
-        decays: Whether small disturbances are known to decay: flights then end where what is left is ``QUIET``.
+        rest: Equilibrium of the loop; the flights begin about its start.
+        action: Action of the law, (U,).
+        returns: Whether the law holds a position; else distances count from the position ``LAST`` before the end.
+        decays: Whether small disturbances decay; then flights end once the deviation is below ``QUIET``.
     """
     backend, signs = TorchBackend(), action.new_tensor([(1, 1, 1), (-1, 1, -1), (1, -1, -1), (-1, -1, 1)])
     begin = rest.start[0].repeat(NUM_STARTS, 1)
@@ -158,7 +158,7 @@ def flown_distance(loop: SampledLoop, rest: Rest, action: Tensor, *, returns: bo
 
 
 def _left(state: BodyState, home: Tensor) -> float:
-    """Return the largest distance from home, speed and rate of flights, as a share of ``DISTURBANCE``."""
+    """Return the largest deviation of flights in position, speed and rate, as a share of ``DISTURBANCE``."""
     parts = (state.position - home, state.lin_vel, state.ang_vel)
     sizes = (DISTURBANCE[0], *DISTURBANCE[2:])
     return max(float(part.abs().max()) / size for part, size in zip(parts, sizes, strict=True))

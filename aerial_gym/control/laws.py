@@ -1,4 +1,4 @@
-"""Every control law by the name that a controller configuration uses."""
+"""The table of control laws, by their names in controller configurations."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,19 +28,19 @@ class Law:
     """State, action (E, 4) and gains to the wanted wrench (E, 6), body."""
 
     fused: wp.Function | None = None
-    """The same as a ``wp.func``, as ``physics.fused.FusedLaw`` wants it; None keeps the law to the torch backend."""
+    """The same as a ``wp.func`` for ``physics.fused.FusedLaw``; None restricts the law to the torch backend."""
 
     prepare: wp.Function | None = None
     """``FusedLaw.prepare``."""
 
     action: tuple[str, ...]
-    """What each entry of the action is, with its unit."""
+    """Meaning and unit of each entry of the action."""
 
     lateral: bool = False
-    """Whether it pushes sideways as well, for which the rotors must point in more than one direction."""
+    """Whether it commands lateral force, which needs rotors in more than one direction."""
 
     trim: str
-    """Axes of ``control.stability`` that the law brings to rest; it leaves the others to themselves."""
+    """Axes of ``control.stability`` that the law controls."""
 
 
 LAWS: dict[str, Law] = {
@@ -95,4 +95,4 @@ LAWS: dict[str, Law] = {
         trim="p q r",
     ),
 }
-"""The geometric laws. ``thrust`` and ``rotor_speed`` need none: the action goes to the rotors."""
+"""The geometric laws. ``thrust`` and ``rotor_speed`` pass the action to the rotors instead."""

@@ -16,12 +16,12 @@ from aerial_gym.math.quaternion import quat_from_yaw, quat_rotate, quat_rotate_i
 from aerial_gym.physics.state import BodyState
 
 LEAST_LIFT = 0.1
-"""Upward part of what is wanted of the thrust, at least, as a share of the weight: laws that turn a thrust do not turn over."""
+"""Least upward component of the force setpoint, as a share of the weight, so that the vehicle never turns over."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LeeGains:
-    """Gains of every environment and what the autopilot believes of its vehicle."""
+    """Gains of every environment, and the autopilot's vehicle parameters."""
 
     position: Tensor  # [1/s²], (E, 3)
     velocity: Tensor  # [1/s], (E, 3)
@@ -130,10 +130,10 @@ def position_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tenso
 
 
 def pose_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
-    """Return the wrench for x, y, z [m] and attitude, xyzw, world, action (E, 7): position and attitude by themselves.
+    """Return the wrench for x, y, z [m] and attitude, xyzw, world, action (E, 7), of a fully actuated vehicle.
 
-    ``F = R^T m (K_p e_p - K_v v - g)`` pushes in any direction, and the torque turns to the attitude. A quaternion of zeros
-    stands for no turn.
+    The force ``F = R^T m (K_p e_p - K_v v - g)`` has any direction, and the torque controls attitude. A quaternion of zeros
+    stands for the identity.
     """
     acceleration = gains.position * (action[:, :3] - state.position) - gains.velocity * state.lin_vel
     force = gains.mass.unsqueeze(-1) * torch.cat((acceleration[:, :2], acceleration[:, 2:] + gains.gravity), dim=-1)

@@ -1,7 +1,7 @@
 """The laws of ``control.lee`` as Warp functions for one environment.
 
-All of a law is computed in the body frame, where ``R`` drops out of ``R^T Rd``: its columns are the wanted axes as the body
-sees them. Euler angles are avoided: *up*, the third row of R, is (-sin pitch, sin roll cos pitch, cos roll cos pitch).
+The laws are computed in the body frame, where the columns of ``R^T Rd`` are the wanted axes in body coordinates. Euler angles
+are avoided: *up*, the third row of R, is (-sin pitch, sin roll cos pitch, cos roll cos pitch).
 Frames: world z up, body x forward, y left, z up; the *vehicle* frame is the world turned by the yaw alone.
 """
 
@@ -18,7 +18,7 @@ from aerial_gym.math.warp_functions import inverse_root, rotate, rotate_inverse,
 
 @wp.struct
 class Gains:
-    """Gains and limits, and what the autopilot believes of its vehicle."""
+    """Gains, limits, and the autopilot's vehicle parameters."""
 
     position: wp.vec3  # [1/s²]
     velocity: wp.vec3  # [1/s]
@@ -52,26 +52,26 @@ def gain_rows(gains: LeeGains) -> Mapping[str, Tensor]:
 
 @wp.func
 def read_vec3(source: wp.array2d[float], first: int, env: int) -> wp.vec3:
-    """Return three numbers of one environment."""
+    """Read three consecutive numbers of one environment."""
     return wp.vec3(source[first, env], source[first + 1, env], source[first + 2, env])
 
 
 @wp.func
 def write_vec3(out: wp.array2d[float], first: int, env: int, vector: wp.vec3):
-    """Write three numbers of one environment."""
+    """Write three consecutive numbers of one environment."""
     for i in range(3):
         out[first + i, env] = vector[i]
 
 
 @wp.func
 def inverse_cos_pitch(up: wp.vec3) -> float:
-    """Return ``1 / cos pitch``, finite where the body points straight up or down."""
+    """Return ``1 / cos pitch``, finite at a pitch of 90 degrees."""
     return inverse_root(wp.max(up[1] * up[1] + up[2] * up[2], 1.0e-30))
 
 
 @wp.func
 def heading_of(up: wp.vec3, inverse: float) -> wp.vec3:
-    """Return vehicle x as the body sees it, from ``1 / cos pitch``: (cos pitch, sin roll sin pitch, cos roll sin pitch)."""
+    """Return vehicle x in body coordinates, from ``1 / cos pitch``: (cos pitch, sin roll sin pitch, cos roll sin pitch)."""
     slope = -up[0] * inverse
     return wp.vec3((up[1] * up[1] + up[2] * up[2]) * inverse, slope * up[1], slope * up[2])
 
@@ -84,7 +84,7 @@ def rate_torque(gains: Gains, ang_vel: wp.vec3, rate: wp.vec3) -> wp.vec3:
 
 @wp.func
 def attitude_torque(gains: Gains, d1: wp.vec3, d2: wp.vec3, d3: wp.vec3) -> wp.vec3:
-    """Return ``-K_R e_R`` [N m], body, from the wanted axes as the body sees them."""
+    """Return ``-K_R e_R`` [N m], body, from the wanted axes in body coordinates."""
     error = wp.vec3(d3[1] - d2[2], d1[2] - d3[0], d2[0] - d1[1])
     return -0.5 * wp.cw_mul(gains.attitude, error)
 
@@ -97,7 +97,7 @@ def limited_yaw_rate(yaw_rate: float, gains: Gains) -> float:
 
 @wp.func
 def within_inclination(force: wp.vec3, least_up: float, max_slope: float) -> wp.vec3:
-    """Return the force [N], world, with ``least_up`` upwards at least and within a slope, the tan of an inclination."""
+    """Limit a force [N], world, to a vertical part of at least ``least_up`` and to a slope, the tan of its inclination."""
     up = wp.max(force[2], least_up)
     shrink = wp.min(max_slope * up * inverse_root(wp.max(force[0] * force[0] + force[1] * force[1], 1.0e-18)), 1.0)
     return wp.vec3(shrink * force[0], shrink * force[1], up)
@@ -121,7 +121,7 @@ def force_wrench(
         attitude: Body to world.
         ang_vel: [rad/s], body.
         force: World [N].
-        heading: To which body x shall be nearest, body.
+        heading: Wanted direction of body x, body.
         rate: Wanted angular velocity [rad/s], wanted body frame.
     """
     seen = rotate_inverse(attitude, force)
@@ -157,7 +157,7 @@ def position_control(
 
 @wp.func
 def prepare_pose(action: vec7, gains: Gains) -> vec7:
-    """Return x, y, z [m] and a unit quaternion; that of no turn in place of zeros."""
+    """Return x, y, z [m] and a unit quaternion; the identity for zeros."""
     q = wp.quat(action[3], action[4], action[5], action[6])
     if wp.length(q) == 0.0:
         q = wp.quat_identity()
@@ -261,8 +261,8 @@ def attitude_control(
 ) -> wp.spatial_vector:
     """Return the wrench for thrust [multiples of weight, 0 is hover], roll, pitch [rad] and yaw rate [rad/s].
 
-    The wanted attitude has the heading of the body, so that the yaw drops out: vehicle x, y and z as the body sees them are
-    turned by the wanted pitch and then by the wanted roll.
+    The wanted attitude has the heading of the body, so that yaw cancels: vehicle x, y and z in body coordinates are rotated
+    by the wanted pitch and then by the wanted roll.
     """
     up = world_up(attitude)
     inverse = inverse_cos_pitch(up)

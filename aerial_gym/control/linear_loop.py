@@ -1,10 +1,10 @@
-"""The closed loop of vehicles and their control law as it is sampled, linearised about any state.
+"""The sampled closed loop of vehicles and their control law, linearised about any state.
 
-The state vector x holds everything that the next step depends on: the twelve ``AXES`` of the body, the states of the rotors,
-the memory of effects, and the memory of the law. Law and plant are differentiated apart, by central differences of the torch
-reference in float64, with all vehicles and perturbations side by side as environments. Commands on their way to the rotors
-(dead time) are added as exact delay states. A law that runs less often than the physics has a period; its map is the product
-of its steps. Laws read the true state of the body: latencies of sensors reach observations alone.
+The state vector x has all inputs of the next step: the twelve ``AXES`` of the body, the states of the rotors, the memory of
+effects, and the memory of the law. Law and plant are differentiated separately, by central differences of the torch
+reference in float64, with all vehicles and perturbations as a batch of environments. Dead time adds exact delay states for
+commands. A law that runs less often than the physics has a period; its map is the product of its steps. Laws read the true
+state of the body; sensor latency affects observations only.
 Letters: B vehicles under one law, E environments, R rotors, X numbers of the state vector, Z of them of the plant, N of law
 memory, Q independent commands, D delay states.
 """
@@ -35,35 +35,37 @@ AXES = ("x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "p", "q", "r")
 """Motion of the body [m, rad, m/s, rad/s]; attitude as a rotation vector."""
 
 BODY = len(AXES)
-"""Numbers of the state vector before those of the rotors."""
+"""Size of the body's part of the state vector, before the rotors."""
 
 NUDGE = 1e-5
-"""Size of the differences, in the units of the axes: their error is its square."""
+"""Step of central differences in the units of the axes; their error is its square."""
 
 INDEPENDENT = 1e-9
-"""Singular value of the commands' derivatives, as a share of the largest, below which a combination of rotors is not used."""
+"""Relative singular value of the commands' derivatives below which a combination of rotors is unused."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinearStep:
-    """One physics step about a state of each vehicle: derivatives, and the change of a state that is not at rest."""
+    """One physics step linearised about a state of each vehicle: derivatives, and the change of the state itself."""
 
-    plant: Tensor  # Plant state after per plant state before, (B, Z, Z)
-    earlier: Tensor  # Plant state after per command before the one that arrives within the step, (B, Z, R), or 0
-    later: Tensor  # Plant state after per command that acts from then on, (B, Z, R)
-    command: Tensor  # Command per state, (B, R, X)
-    law: Tensor  # Memory of the law after per state, (B, N, X)
-    change: Tensor  # State after the step less that before, (B, X)
+    plant: Tensor  # Derivative of the next plant state by the plant state, (B, Z, Z)
+    earlier: Tensor  # Derivative by the command before an arrival within the step, (B, Z, R), or 0
+    later: Tensor  # Derivative by the command after the arrival, (B, Z, R)
+    command: Tensor  # Derivative of the command by the state, (B, R, X)
+    law: Tensor  # Derivative of the law's next memory by the state, (B, N, X)
+    change: Tensor  # Change of the state in the step, (B, X)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LinearLoop:
     """A period of the closed loop about a state of each vehicle."""
 
-    steps: tuple[LinearStep, ...]  # In their order; steps of equal phases are the same object
+    steps: tuple[LinearStep, ...]  # Steps in order; steps of equal phase are the same object
     told: Tensor  # Command in that state, (B, R)
-    rotate_ring: Callable[[Tensor], Tensor]  # Law memory (..., N) after a period in the order of before
-    slots: int  # Commands on their way: whole physics steps of dead time and one; 0 without a dead time
+    rotate_ring: Callable[
+        [Tensor], Tensor
+    ]  # Function that restores the order of the law's memory (..., N) after a period
+    slots: int  # Number of delayed commands: whole physics steps of dead time plus one; 0 without dead time
 
     @cached_property
     def basis(self) -> Tensor:
@@ -76,8 +78,8 @@ class LinearLoop:
         """Return the affine map of deviations over a period, (B, X + D + 1, X + D + 1); its last column is the change.
 
         Args:
-            gain: Factor on what the law asks of the rotors beyond rest [-].
-            late: Whether commands have their dead time; a rest is the same without, and D is 0 then.
+            gain: Factor on the deviation of commands from those at rest [-].
+            late: Whether to include dead time; without it D is 0. The equilibrium is the same.
         """
         slots, parts = self.slots if late else 0, []
         for step, run in groupby(self.steps):
@@ -116,12 +118,12 @@ class SampledLoop:
     def __init__(
         self, model: Model, make_law: Callable[[Vehicle], ControlLaw], *, declared: Vehicle, dt: float, integrator: str
     ) -> None:
-        """Take the vehicles and their law.
+        """Set up the loop.
 
         Args:
-            model: Vehicles with their effects, in float64 on the CPU, of one whole number of steps of dead time.
+            model: Vehicles with their effects, in float64 on the CPU, with equal whole steps of dead time.
             make_law: Returns the law for a declared vehicle of any number of rows.
-            declared: The vehicle that the law knows; all rows are the first one.
+            declared: The vehicle of the law; all rows equal the first.
             dt: Time step [s].
         """
         self._model, self._declared, self._make_law = model, declared, make_law
@@ -138,7 +140,7 @@ class SampledLoop:
         """Z."""
 
     def start(self, height: float, thrust: Tensor) -> Tensor:
-        """Return the state of rest at a height [m], (B, X), with what effects and law remember after a reset.
+        """Return the state at rest at a height [m], (B, X), with the memory of effects and law after a reset.
 
         Args:
             height: World z of the body origin [m].
@@ -148,12 +150,12 @@ class SampledLoop:
         body[AXES.index("z")] = height
         thrust = thrust.to(body)
         speed = state_for_thrust(_repeated_vehicle(self._declared, 1), thrust.unsqueeze(0))[0]
-        law = body[:0] if self._cascade is None else self._cascade.resting(thrust)
+        law = body[:0] if self._cascade is None else self._cascade.rest_memory(thrust)
         state = torch.cat((body, speed, self._plant(1)[1].initial, law))
         return state.repeat(self._model.vehicle.num_envs, 1)
 
     def linearised(self, state: Tensor, action: Tensor) -> LinearLoop:
-        """Return the loop about states (B, X) under an action (U,)."""
+        """Linearise the loop about states (B, X) under an action (U,)."""
         cascade, plant = self._cascade, state[:, : self.num_plant]
         size = state.abs().clamp_min(1.0)
         size[:, :BODY] = 1.0
@@ -185,7 +187,7 @@ class SampledLoop:
         )
 
     def fly_in(self, backend: PhysicsBackend, states: Tensor) -> BodyState:
-        """Give the first vehicle and its law to a backend, and return the body in states (E, X), to be stepped there."""
+        """Allocate the first vehicle and its law on a backend, and return the body in states (E, X) for its steps."""
         count = len(states)
         first = single(self._model)
         law = self._make_law(_repeated_vehicle(single_vehicle(self._declared), count))
@@ -203,7 +205,7 @@ class SampledLoop:
         body, remembered = _body(states[:, : BODY + self.num_rotors]), states[:, self.num_plant :]
         memory = None if cascade is None else cascade.memory_from(remembered, number)
         command, memory = law_command(law, body, action.expand(len(states), -1), memory)
-        return command, remembered if cascade is None or memory is None else cascade.remembered(memory)
+        return command, remembered if cascade is None or memory is None else cascade.flatten_memory(memory)
 
     def _moved(self, rows: Tensor) -> Tensor:
         """Return plant states (E, Z) after a step, from rows of plant state, earlier and later command, (E, Z + 2 R)."""
@@ -221,7 +223,7 @@ class SampledLoop:
         return torch.cat((*replace(body, attitude=quat_log(body.attitude)).tensors(), numbers), dim=-1)
 
     def _plant(self, each: int) -> tuple[Model, Memory]:
-        """Return the vehicles in ``each`` rows, and a memory in which every command on its way is one of the law's."""
+        """Return the vehicles in ``each`` rows, and their memory with delayed commands of the law."""
         if each not in self._plants:
             model = repeated(self._model, each)
             memory = make_memory(model, self.dt)
@@ -238,14 +240,14 @@ class SampledLoop:
 
 
 def whole_delay(model: Model, dt: float) -> int:
-    """Return the whole physics steps of the first vehicle's dead time, as ``physics.memory`` counts them; 0 without one."""
+    """Return the whole physics steps of the first vehicle's dead time, as in ``physics.memory``; 0 without dead time."""
     for effect, params in model.effects[DelayEffect]:
         return int(float(effect.delay(params)[0]) / dt)
     return 0
 
 
 def repeated(model: Model, each: int) -> Model:
-    """Return a model with every vehicle in ``each`` rows, one after the other."""
+    """Repeat every vehicle of a model in ``each`` consecutive rows."""
     params = [(effect, rows.repeat_interleave(each, 0)) for effect, rows in model.effects]
     return replace(
         model,
@@ -282,7 +284,7 @@ def _repeated_rows(rows: Tensor, each: int) -> Tensor:
 
 
 def _follow(allocation: Allocation | None, vehicle: Vehicle) -> None:
-    """Give an allocation that knows each environment's own vehicle that vehicle."""
+    """Update an allocation of actual effectiveness for a vehicle."""
     if allocation is None or allocation.effectiveness != "actual":
         return
     own = vehicle.map_rows(own_rows)

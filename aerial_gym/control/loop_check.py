@@ -1,8 +1,8 @@
-"""What is said of a robot under a controller before it flies: refused, warned of, or nothing.
+"""The stability check of a robot under a controller before flight: it refuses, warns or passes.
 
-Refused is a loop that does not come back to hover from disturbances: an unstable one, or one whose gain margin is so little
-that limits of the rotors make it so. Warned of is an unstable loop that comes back all the same, as from limit cycles; and a
-stable one that effects of the robot file push farther than ``HOVER_RANGE`` from its setpoint.
+It refuses a loop that does not return to hover from disturbances: an unstable one, or one with so small a gain margin that
+rotor limits destabilise it. It warns of an unstable loop that returns nevertheless, as with limit cycles, and of a stable one
+that effects of the robot file push farther than ``HOVER_RANGE`` from its setpoint.
 """
 
 import logging
@@ -23,10 +23,10 @@ REMEDY = (
     "Take a controller that integrates the error (px4_position_control, px4_velocity_control, crazyflie_lee_control), or raise "
     "position_frequency (control:). If only mass, centre of mass or rotors differ, set effectiveness: actual (control:)"
 )
-"""Of a constant force that a law without an integrator does not know of."""
+"""Remedy for the steady error of a law without integrator."""
 
 SLOW_REMEDY = "Give its integrators more gain, or let a task begin when they have settled"
-"""Of one that it integrates too slowly."""
+"""Remedy for a slow integrator."""
 
 
 def check_closed_loop(
@@ -39,16 +39,16 @@ def check_closed_loop(
     names: tuple[str, str],
     randomize: Randomize | None = None,
 ) -> None:
-    """Refuse a robot that does not hover under its controller at this time step, and warn where it hovers badly.
+    """Refuse a robot that does not hover under its controller at this time step, and warn of a poor hover.
 
-    So it is with derived gains, with those of a robot file, and with those that the name of a controller means. Someone's
-    result may be worth reproducing as it is: with ``ControllerCfg.if_unstable`` there is a warning instead.
+    The check covers derived gains, gains of robot files and those of registered controllers. ``ControllerCfg.if_unstable``
+    turns the refusal into a warning, for example to reproduce published results.
 
     Args:
         gravity: Downward acceleration of free fall [m/s²].
         dt: Time step [s].
-        names: Of robot and controller, for people.
-        randomize: What is drawn, by name; the ends of its gains must come to rest as well.
+        names: Names of robot and controller for messages.
+        randomize: Ranges of draws by name; the loop must also be stable at the ends of its gains.
 
     Raises:
         ConfigError: If the vehicle cannot hover, or the loop is refused.
@@ -62,13 +62,13 @@ def check_closed_loop(
     if vain := _held_in_vain(loop.idle, controller, robot):
         refuse(
             controller,
-            f"{who}: the explicit gains hold {vain}, about which its rotors have no "
-            f"torque, and an error that stays there hides the others. Give attitude gains of 0 about {vain}, or leave them out",
+            f"{who}: the explicit gains control {vain}, but its rotors give no torque there, "
+            f"and the lasting error hides the others. Give attitude gains of 0 about {vain}, or leave them out",
         )
     who, hover = f"{who} at dt = {dt:g} s", loop.hover(dt)
-    if hover.lost or not hover.stable:
+    if hover.is_lost or not hover.stable:
         fault = f"{who} {instability(hover, dt)}, with {_gains_of(controller, robot)}. {_remedy(loop, controller, robot, dt)}"
-        if hover.lost:
+        if hover.is_lost:
             refuse(controller, fault)
         else:
             _log.warning(
@@ -92,7 +92,7 @@ def check_closed_loop(
 
 
 def hover_error(hover: Hover) -> str:
-    """Return the hover error of a vehicle, as the end of a sentence about it."""
+    """Return the hover error of a vehicle, as the predicate of a sentence."""
     speed, away = (max(map(abs, part)) for part in (hover.drift, hover.offset))
     if speed * HOVER_SPAN > HOVER_RANGE:
         return f"drifts at {_vector(hover.drift)} m/s"
@@ -108,7 +108,7 @@ def _vector(numbers: tuple[float, float, float]) -> str:
 
 
 def refuse(controller: ControllerCfg, message: str) -> None:
-    """Raise ``ConfigError`` with a message, or warn where ``ControllerCfg.if_unstable`` says so."""
+    """Raise ``ConfigError`` with a message, or warn if ``ControllerCfg.if_unstable`` is ``warn``."""
     if controller.if_unstable == "refuse":
         raise ConfigError(message)
     _log.warning(message)
@@ -120,7 +120,7 @@ def remedy(hover: Hover) -> str:
 
 
 def instability(hover: Hover, dt: float) -> str:
-    """Return the fault of an unstable loop at a time step [s], as the end of a sentence about it."""
+    """Return the fault of an unstable loop at a time step [s], as the predicate of a sentence."""
     if hover.stable:
         return f"is nearly unstable: from starts with {DISTURBANCE[2]:g} m/s and {DISTURBANCE[3]:g} rad/s it does not come back"
     if stable([hover.growth]):
@@ -130,7 +130,7 @@ def instability(hover: Hover, dt: float) -> str:
 
 
 def _held_in_vain(idle: list[str], controller: ControllerCfg, robot: RobotCfg) -> str:
-    """Return about which axes explicit gains would hold a vehicle whose rotors cannot; empty if there are none."""
+    """Return the axes with explicit attitude gains but without rotor torque; empty if there are none."""
     explicit = None if controller.autopilot else explicit_gains_of(controller, robot.control)
     return "" if explicit is None else " and ".join(name for name in idle if explicit.attitude[TURNS.index(name)] > 0.0)
 
@@ -141,7 +141,7 @@ def _gains_of(controller: ControllerCfg, robot: RobotCfg) -> str:
 
 
 def _remedy(loop: ClosedLoop, controller: ControllerCfg, robot: RobotCfg, dt: float) -> str:
-    """Return the largest time step that helps, and what else does, as sentences."""
+    """Return the remedies of an unstable loop as sentences: the largest stable time step, and changes of gains."""
     late = "shorten the dead time (effects: actuation_delay), " if loop.delay else ""
     if not has_explicit_gains(controller, robot.control):
         return f"{_largest_dt(loop, dt)}To fly it, {late}lower the frequencies (control:)"
@@ -152,7 +152,7 @@ def _remedy(loop: ClosedLoop, controller: ControllerCfg, robot: RobotCfg, dt: fl
 
 
 def _largest_dt(loop: ClosedLoop, dt: float) -> str:
-    """Return a sentence about the largest time step; none for a controller whose rates ask for certain ones."""
+    """Return a sentence about the largest stable time step; empty for a controller with fixed rates."""
     try:
         best = loop.largest_firm_dt(dt)
     except ConfigError:
@@ -163,5 +163,5 @@ def _largest_dt(loop: ClosedLoop, dt: float) -> str:
 
 
 def drawn_gains(randomize: Randomize) -> dict[str, RandomizeCfg]:
-    """Return the drawn gains, by their own names."""
+    """Return the ranges of randomised gains, by their names without ``gains.``."""
     return {name: randomize[f"gains.{name}"] for name in GAINS if f"gains.{name}" in randomize}

@@ -1,4 +1,4 @@
-"""The turn from one attitude to another, tilt before heading. Pure functions of tensors.
+"""The reduced-attitude error: rotation to an attitude with tilt before heading. Pure functions of tensors.
 
 Frames: world z up, body x forward, y left, z up; quaternions xyzw. Letters: E environments.
 Source: Brescianini, Hehn, D'Andrea (2013), Nonlinear quadrocopter attitude control, ETH Zurich.
@@ -11,13 +11,13 @@ from aerial_gym.math.quaternion import quat_conjugate, quat_multiply, quat_rotat
 from aerial_gym.math.rows import atan2
 
 OPPOSITE = 1e-5
-"""Below this length of ``a x b``, with a and b opposite, there is no shortest turn between them. Source: PX4, ``matrix``."""
+"""Length of ``a x b`` of opposite a and b below which the shortest rotation is undefined. Source: PX4, ``matrix``."""
 
 
 def shortest_turn(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the quaternion (E, 4) that turns unit vectors a to b (E, 3), and whether there is one, bool (E, 1).
+    """Return the quaternion (E, 4) of the shortest rotation from unit vectors a to b (E, 3), and whether it exists (E, 1).
 
-    Source: Derived: ``(a x b, 1 + a . b)``, normalised, is half the turn.
+    Source: Derived: ``(a x b, 1 + a . b)``, normalised.
     """
     cross, dot = torch.linalg.cross(a, b), (a * b).sum(-1, keepdim=True)
     exists = ((cross * cross).sum(-1, keepdim=True) >= OPPOSITE**2) | (dot > 0.0)
@@ -26,7 +26,7 @@ def shortest_turn(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def canonical(q: Tensor) -> Tensor:
-    """Return the quaternion of the same turn with ``w >= 0``, (E, 4)."""
+    """Return the equal rotation with ``w >= 0``, (E, 4)."""
     return torch.where(q[:, 3:] < 0.0, -q, q)
 
 
@@ -36,14 +36,12 @@ def up_axis(like: Tensor) -> Tensor:
 
 
 def tilt_first_error(attitude: Tensor, wanted: Tensor, yaw_share: Tensor) -> Tensor:
-    """Return the vector part of the quaternion that turns to an attitude, body, (E, 3).
-
-    The turn is that of body z by the shortest way, then a share of the one about it that is left.
+    """Return the vector part of the error quaternion, body, (E, 3): shortest rotation of body z, then a share of the heading.
 
     Args:
         attitude: Body to world, (E, 4).
         wanted: Wanted attitude, (E, 4).
-        yaw_share: Of the heading error, 0 to 1, (E, 1).
+        yaw_share: Share of the heading error, 0 to 1, (E, 1).
     """
     turn, exists = shortest_turn(*(quat_rotate(q, up_axis(q)) for q in (attitude, wanted)))
     tilted = torch.where(exists, quat_multiply(turn, attitude), wanted)

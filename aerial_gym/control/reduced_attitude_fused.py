@@ -1,4 +1,4 @@
-"""The turn from one attitude to another for one environment in the fused kernel, the twin of ``control.reduced_attitude``."""
+"""The reduced-attitude error in the fused kernel: the Warp version of ``control.reduced_attitude``."""
 
 import warp as wp
 
@@ -7,7 +7,7 @@ from aerial_gym.math.warp_functions import rotate
 
 @wp.func
 def shortest_turn(a: wp.vec3, b: wp.vec3) -> wp.quat:
-    """Return the quaternion that turns unit vectors a to b; zeros where there is none."""
+    """Return the quaternion of the shortest rotation from unit vectors a to b; zeros for opposite vectors."""
     cross = wp.cross(a, b)
     dot = wp.dot(a, b)
     turn = wp.quat()
@@ -18,13 +18,13 @@ def shortest_turn(a: wp.vec3, b: wp.vec3) -> wp.quat:
 
 @wp.func
 def canonical(q: wp.quat) -> wp.quat:
-    """Return the quaternion of the same turn with ``w >= 0``."""
+    """Return the equal rotation with ``w >= 0``."""
     return wp.where(q[3] < 0.0, -q, q)
 
 
 @wp.func
 def tilt_first_error(attitude: wp.quat, wanted: wp.quat, yaw_share: float) -> wp.vec3:
-    """Return ``reduced_attitude.tilt_first_error``, body."""
+    """Return the Warp version of ``reduced_attitude.tilt_first_error``, body."""
     up = rotate(attitude, wp.vec3(0.0, 0.0, 1.0))
     turn = shortest_turn(up, rotate(wanted, wp.vec3(0.0, 0.0, 1.0)))
     tilted = wanted

@@ -1,8 +1,8 @@
-"""What controllers with memory have in common: actions that come late, wishes on their way, a command that is held.
+"""Base class of controllers with memory: delayed actions, delayed setpoints of the law, a held rotor command.
 
     action --(action delay)--> law --(delay, held)--> rate loop --> allocation --(held)--> rotors
 
-Letters: E environments, R rotors, U entries of an action, S slots of a ring, M remembered numbers, P numbers on their way.
+Letters: E environments, R rotors, U entries of an action, S slots of a ring, M numbers of memory, P delayed numbers.
 """
 
 from abc import ABC, abstractmethod
@@ -21,16 +21,16 @@ from aerial_gym.physics.state import BodyState
 
 @dataclass(frozen=True)
 class Layout:
-    """Where each remembered number stands."""
+    """Offsets into a controller's memory."""
 
-    held: int  # First commanded speed; (R,) numbers, if the rotors' command is held
+    held: int  # First held rotor command, of R numbers
     width: int  # M
-    actions: int  # First number of the ring of actions, behind that of setpoints
+    actions: int  # First number of the ring of actions, after that of setpoints
     past: int  # P
 
 
 def layout_of(timing: Timing, *, own: int, num_rotors: int, num_actions: int) -> Layout:
-    """Return the places: ``own`` numbers of the controller, then the held command (R)."""
+    """Return the offsets for ``own`` numbers of the controller, then the held command (R)."""
     actions = 4 * timing.setpoint_slots
     return Layout(
         own, own + (num_rotors if timing.loop > 1 else 0), actions, actions + timing.action_slots * num_actions
@@ -40,41 +40,41 @@ def layout_of(timing: Timing, *, own: int, num_rotors: int, num_actions: int) ->
 class RememberingController(ABC):
     """A controller with memory; ``command`` is one physics step of it.
 
-    It has a timing, a layout and an allocation, and says what one run of it does to the numbers that are its own.
+    A subclass has a timing, a layout and an allocation, and defines one run with its own memory.
     """
 
     action_names: tuple[str, ...]
     """Meaning and unit of each entry of an action."""
 
     allocation: Allocation
-    """From wrenches to thrusts."""
+    """Allocation of wrenches to thrusts."""
 
     timing: Timing
-    """When its levels run."""
+    """Timing of its levels."""
 
     _layout: Layout
 
     @property
     def needs(self) -> LawNeeds:
-        """What it must be given to remember."""
+        """Memory that it needs."""
         return LawNeeds(width=self._layout.width, past=self._layout.past, dt=self.timing.dt)
 
     @property
     def period(self) -> int:
-        """Physics steps after which every level begins anew."""
+        """Physics steps after which the pattern of runs repeats."""
         return self.timing.law
 
     @abstractmethod
     def _run(self, state: BodyState, action: Tensor, memory: LawMemory, sent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the rotor commands (E, R) of one run, its own numbers after it, and the wishes on their way."""
+        """Return the rotor commands (E, R) of one run, its new memory, and the delayed setpoints."""
 
     @property
     @abstractmethod
     def _wish_at_rest(self) -> Tensor:
-        """The thrust that the law wants of its rate loop at rest, in the unit of that, of the first environment."""
+        """Thrust setpoint of the rate loop at hover, of the first environment, in the loop's unit."""
 
-    def resting(self, thrust: Tensor) -> Tensor:
-        """Return what the first environment remembers at rest under thrusts [N], (R,): numbers and wishes of the law."""
+    def rest_memory(self, thrust: Tensor) -> Tensor:
+        """Return the memory of the first environment at rest under thrusts [N], (R,): numbers and setpoints."""
         numbers, sent = thrust.new_zeros(self._layout.width), thrust.new_zeros(self._layout.actions)
         if self.timing.loop > 1:
             like = self.allocation.inverse
@@ -83,30 +83,27 @@ class RememberingController(ABC):
         return torch.cat((numbers, sent))
 
     def phase(self, step: int) -> tuple[bool, bool, int]:
-        """Return what step of a period it is: which levels run, and which wish of the law has come through by then.
+        """Return the phase of a step in its period: the levels that run, and the age of the setpoint that has arrived.
 
-        Steps of equal phases map states and memory alike.
+        Steps of equal phase have the same map of states and memory.
         """
         timing = self.timing
         return step % timing.law == 0, step % timing.loop == 0, (step - timing.delay) // timing.law
 
     def memory_from(self, remembered: Tensor, step: int) -> LawMemory:
-        """Return the memory with numbers and wishes (E, ...) as in ``resting``, at a step of a period long after a reset.
-
-        No action is late.
-        """
+        """Return the memory with numbers and setpoints (E, ...) as in ``rest_memory``, long after a reset, without late actions."""
         numbers, sent = remembered.split((self._layout.width, self._layout.actions), dim=-1)
         actions = sent.new_zeros(len(sent), self._layout.past - self._layout.actions)
         long_ago = 1000 * self.period * max(self.timing.setpoint_slots, 1) + step
         since = torch.full((len(sent),), long_ago, dtype=torch.int32, device=sent.device)
         return LawMemory(numbers=numbers, past=torch.cat((sent, actions), dim=-1), since=since)
 
-    def remembered(self, memory: LawMemory) -> Tensor:
-        """Return numbers and wishes of a memory, as ``memory_from`` takes them."""
+    def flatten_memory(self, memory: LawMemory) -> Tensor:
+        """Return the numbers and setpoints of a memory, the inverse of ``memory_from``."""
         return torch.cat((memory.numbers, memory.past[:, : self._layout.actions]), dim=-1)
 
     def rotate_ring(self, remembered: Tensor) -> Tensor:
-        """Return numbers and wishes (N, ...) after a period with the ring turned: equal places are then equally old."""
+        """Rotate the ring of setpoints (..., N) by a period, so that equal slots have equal age."""
         numbers, sent = remembered.split((self._layout.width, self._layout.actions), dim=-1)
         slots = self.timing.setpoint_slots
         if slots:
@@ -133,7 +130,7 @@ class RememberingController(ABC):
         return command, LawMemory(numbers=numbers, past=torch.cat((sent, actions), dim=-1), since=since + 1)
 
     def _fused(self, **law: Any) -> FusedLaw:
-        """Return the Warp law with this allocation and memory, and with what is given of gains and code."""
+        """Return the Warp law with this allocation and memory, and the given gains and code."""
         allocation = self.allocation
         return FusedLaw(
             output="wrench",
@@ -152,7 +149,7 @@ class RememberingController(ABC):
         )
 
     def _pass_on(self, setpoint: Tensor, sent: Tensor, since: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the thrust and body rates (E, 4) that have come through by now, and what is on its way."""
+        """Return the delayed thrust and body rates (E, 4), and the updated ring of setpoints."""
         timing = self.timing
         if not timing.setpoint_slots:
             return setpoint, sent
@@ -163,14 +160,14 @@ class RememberingController(ABC):
 
 
 def write_ring(ring: Tensor, row: Tensor, count: Tensor, slots: int) -> Tensor:
-    """Return a ring (E, S W) with a row (E, W) in the slot of a count (E,)."""
+    """Write a row (E, W) into a ring (E, S W), at the slot ``count`` modulo S, (E,)."""
     here = torch.arange(slots, device=ring.device) == (count % slots).unsqueeze(-1)
     rows = torch.where(here.unsqueeze(-1), row.unsqueeze(1), ring.unflatten(-1, (slots, -1)))
     return rows.flatten(1)
 
 
 def read_ring(ring: Tensor, count: Tensor, slots: int) -> Tensor:
-    """Return the row (E, W) of a ring (E, S W) in the slot of a count (E,)."""
+    """Read the row (E, W) of a ring (E, S W) at the slot ``count`` modulo S, (E,)."""
     rows = ring.unflatten(-1, (slots, -1))
     index = (count.long() % slots)[:, None, None].expand(-1, 1, rows.shape[-1])
     return rows.gather(1, index).squeeze(1)

@@ -1,9 +1,9 @@
-"""Whether vehicles under a control law come to rest: the eigenvalues of the closed loop at hover, and the hover itself.
+"""Closed-loop stability at hover: the eigenvalues of vehicles under a control law, and the hover error.
 
-A vehicle comes to rest if the spectral radius of its loop is below 1 over the axes that the law controls; the loop is
-linearised at its rest (``control.linear_loop``). What the law leaves to itself (position and heading under attitude control,
-say) is left out: none of the controlled axes depends on it at hover. The vehicle has the effects of its robot file that act in
-free air. Random wind and forces are left out; failures count that begin with the episode. Joints stay in their reference pose.
+A loop is stable if its spectral radius over the controlled axes is below 1, linearised at its equilibrium
+(``control.linear_loop``). Uncontrolled axes (position and heading under attitude control, say) are excluded; no controlled
+axis depends on them at hover. The vehicle has the effects of its robot file that act in free air, and failures from the start
+of an episode, but no random wind or forces. Joints stay in their reference pose.
 Letters: B vehicles under one law, R rotors, X numbers of the state vector.
 """
 
@@ -34,31 +34,31 @@ from aerial_gym.physics.vehicle import Vehicle, vehicle_from_config
 TURNS, RATES = AXES[3:6], AXES[9:]
 
 LOOP_GAINS = (0.5, 2.0)
-"""Factors on what a law asks of the rotors beyond hover [-] with which a firm loop comes to rest too: a gain margin of 6 dB
-either way. Source: MIL-F-9490D (1975), 3.1.3.6.1, table III, and SAE AS94900 after it, for modes of the rigid body."""
+"""Loop gains [-] at which a firm loop is stable too: a gain margin of 6 dB in both directions. Source: MIL-F-9490D (1975),
+3.1.3.6.1, table III, and its successor SAE AS94900, for rigid-body modes."""
 
 TIGHT_GAINS = (0.8, 1.25)
-"""Factors likewise: a gain margin of 2 dB either way. With less, limits of the rotors decide whether a disturbed loop is lost,
-which only a flight tells."""
+"""Loop gains of a margin of 2 dB in both directions. With less, rotor limits may destabilise a disturbed loop, which needs a
+simulated flight."""
 
 ROUND_OFF = 1e-7
-"""By which the spectral radius of a mode that neither grows nor decays may miss 1."""
+"""Tolerance of the spectral radius of a neutral mode around 1."""
 
 DT_RANGE = (1e-5, 1.0)
-"""Time steps [s] between which the largest stable one is looked for."""
+"""Search range of the largest stable time step [s]."""
 
 HALVINGS = 24
-"""Of the logarithm of that range: to 1e-6 of the time step."""
+"""Bisections of the logarithm of that range: to 1e-6 of the time step."""
 
 FINEST_DELAY = 24
-"""Physics steps of a dead time beyond which shorter ones are not looked for: they change the lag by less than a twentieth."""
+"""Largest number of physics steps in a dead time for the search; finer ones change the lag by less than 5 %."""
 
 
 Corner = tuple[int, ...] | None
-"""Which end of the range of each drawn gain: 0 or 1; None for the declared gains."""
+"""End of the range of each drawn gain, 0 or 1; None for the declared gains."""
 
 HEIGHT = 2.0
-"""World z at which hover is judged [m], for wind by height."""
+"""Height of the hover [m], world z, for wind by height."""
 
 FAR = 1e3
 """Distance of ground and ceiling from hover [m]."""
@@ -67,7 +67,7 @@ FAR = 1e3
 def hover_model(
     robot: RobotCfg, vehicle: Vehicle, *, gravity: float, effects: Sequence[EffectParams] | None = None
 ) -> Model:
-    """Return vehicles with the effects of a robot file that act at hover in free air, or with others."""
+    """Return the model of vehicles with given effects, or with those of a robot file that act at hover in free air."""
     if effects is None:
         check_effects(robot)
         effects = robot_effects(robot, num_envs=1, device=torch.device("cpu"), dtype=torch.float64, rigid=True)
@@ -78,12 +78,12 @@ def hover_model(
 def largest_stable_dt(
     radius: Callable[[float], float], unstable: float, *, lowest: float = DT_RANGE[0]
 ) -> float | None:
-    """Return the largest time step [s] below an unstable one at which the loop is stable; None if there is none.
+    """Return the largest stable time step [s] below an unstable one; None if there is none.
 
     Args:
         radius: Spectral radius at a time step [s].
-        unstable: A time step at which it is above 1.
-        lowest: The shortest time step that is tried.
+        unstable: A time step with a radius above 1.
+        lowest: Shortest time step of the search.
     """
     low, high = lowest, unstable
     if low >= high or radius(low) > 1.0 + ROUND_OFF:
@@ -101,40 +101,40 @@ def stable(radii: Sequence[float]) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class Hover:
-    """What becomes of a hover that begins at its setpoint."""
+    """Result of a hover that begins at its setpoint."""
 
     stable: bool
-    """Whether the loop has a rest, and disturbances about it decay."""
+    """Whether the loop has an equilibrium, and disturbances about it decay."""
 
     growth: float
     """Factor on a small disturbance in each physics step: the spectral radius."""
 
     offset: tuple[float, float, float]
-    """Rest from the setpoint [m], world; 0 where there is no rest."""
+    """Equilibrium relative to the setpoint [m], world; 0 without one."""
 
     drift: tuple[float, float, float]
-    """Velocity at rest [m/s], world: of laws that hold no place."""
+    """Velocity at equilibrium [m/s], world, of laws without position control."""
 
     distance: float
-    """Largest distance from the setpoint [m] within ``HOVER_SPAN`` of a hover that begins there at rest, predicted; that of the
-    rest of an unstable loop; 0 of laws that leave place and velocity to themselves."""
+    """Largest predicted distance from the setpoint [m] within ``HOVER_SPAN`` of a start at rest there; that of the
+    equilibrium for an unstable loop; 0 for laws without position or velocity control."""
 
     flown: float | None
-    """Distance from rest [m] at the end of flights from disturbances; None where they are not flown."""
+    """Distance from equilibrium [m] at the end of disturbed flights; None without flights."""
 
     @property
-    def lost(self) -> bool:
-        """Whether a disturbed vehicle does not come back."""
+    def is_lost(self) -> bool:
+        """Whether a disturbed vehicle does not return."""
         return not self.stable if self.flown is None else self.flown > HOVER_RANGE
 
     @property
     def holds(self) -> bool:
         """Whether it stays within ``HOVER_RANGE``."""
-        return not self.lost and self.distance <= HOVER_RANGE
+        return not self.is_lost and self.distance <= HOVER_RANGE
 
 
 class ClosedLoop:
-    """A robot under a controller, at any time step; or several vehicles for which that controller was made."""
+    """The closed loop of a robot, or of several vehicles, under one controller at any time step."""
 
     def __init__(
         self,
@@ -147,13 +147,13 @@ class ClosedLoop:
         drawn: Mapping[str, RandomizeCfg] | None = None,
         model: Model | None = None,
     ) -> None:
-        """Find hover, and the axes that the law and the rotors control.
+        """Find the hover thrusts and the controlled axes.
 
         Args:
             gravity: Downward acceleration of free fall [m/s²].
-            names: Of robot and controller, for people.
-            drawn: What is drawn of gains, by their own names.
-            model: Vehicles in float64 on the CPU, of one dead time, in place of the robot with its effects.
+            names: Names of robot and controller for messages.
+            drawn: Ranges of drawn gains by name.
+            model: Vehicles in float64 on the CPU, with equal dead time, in place of the robot with its effects.
 
         Raises:
             ConfigError: If the rotors cannot carry the declared vehicle, or an effect cannot act on it.
@@ -177,7 +177,7 @@ class ClosedLoop:
         low, high = allocation.low[0], allocation.high[0]
         if bool(((self._hover < low) | (self._hover > high)).any()):
             raise ConfigError(
-                f"robot {names[0]} cannot hover under controller {names[1]}: its rotors must give "
+                f"robot {names[0]} cannot hover under controller {names[1]}: its rotors need "
                 f"{self._hover.tolist()} N, their limits are {low.tolist()} to {high.tolist()} N"
             )
         weak = allocation.torque_authority(weight) == 0.0
@@ -190,27 +190,27 @@ class ClosedLoop:
         """Of ``TURNS``, what the law holds and the rotors cannot."""
 
     def radius(self, dt: float) -> float:
-        """Return the spectral radius at a time step [s]; where gains are drawn, the largest of ``radii``."""
+        """Return the largest spectral radius of ``radii`` at a time step [s]."""
         return max(self.radii(dt))
 
     def radii(self, dt: float) -> list[float]:
-        """Return the spectral radius with the declared gains, then with each combination of ends of the drawn ones."""
+        """Return the spectral radii with the declared gains and with each combination of ends of the drawn ones."""
         return [self._radius_with(corner, 1.0, dt) for corner in self._corners]
 
     def margins(self, dt: float) -> list[float]:
-        """Return the spectral radius with the declared gains times each of ``LOOP_GAINS``."""
+        """Return the spectral radii with the declared gains at each of ``LOOP_GAINS``."""
         return [self._radius_with(None, gain, dt) for gain in LOOP_GAINS]
 
     def is_stable(self, dt: float) -> bool:
-        """Return whether the loop comes to rest at a time step [s], also with gains at the ends of what is drawn."""
+        """Return whether the loop is stable at a time step [s], also at the ends of drawn gains."""
         return all(bool(self.rest(dt, corner).converged.all()) for corner in self._corners) and stable(self.radii(dt))
 
     def is_firm(self, dt: float) -> bool:
-        """Return whether the loop comes to rest at a time step [s] with the margin of ``LOOP_GAINS``."""
+        """Return whether the loop is stable at a time step [s] with the margin of ``LOOP_GAINS``."""
         return self.is_stable(dt) and stable(self.margins(dt))
 
     def largest_firm_dt(self, unfirm: float) -> float | None:
-        """Return the largest time step [s] below one at which the loop is not firm, at which it is; None if there is none."""
+        """Return the largest time step [s] below an infirm one with the margin of ``LOOP_GAINS``; None if there is none."""
         cases = [*((corner, 1.0) for corner in self._corners), *((None, gain) for gain in LOOP_GAINS)]
         best: float | None = unfirm
         lowest = max(DT_RANGE[0], self.delay / FINEST_DELAY)
@@ -219,7 +219,7 @@ class ClosedLoop:
         return best
 
     def modes(self, dt: float) -> Tensor:
-        """Return ``exp(s dt)`` of the poles s [1/s] of the loop with the declared gains at a time step [s], complex."""
+        """Return the discrete poles ``exp(s dt)`` of the loop with the declared gains at a time step [s], complex."""
         return self._modes_with(None, 1.0, dt)[0]
 
     def _radius_with(self, corner: Corner, loop_gain: float, dt: float) -> float:
@@ -240,7 +240,7 @@ class ClosedLoop:
         return self._modes_with(None, 1.0, dt).abs().amax(-1)
 
     def hover(self, dt: float) -> Hover:
-        """Return the hover of the first vehicle at a time step [s], flown where limits of the rotors may decide."""
+        """Return the hover of the first vehicle at a time step [s], with flights if rotor limits may matter."""
         found = self.hovers(dt)[0]
         tight = not (found.stable and stable([self._radius_with(None, gain, dt) for gain in TIGHT_GAINS]))
         if not self.holds_place or not (tight or self._slews(dt)):
@@ -250,7 +250,7 @@ class ClosedLoop:
         return replace(found, flown=flown)
 
     def _slews(self, dt: float) -> bool:
-        """Return whether a disturbance asks the rotors for more than their slew rate: a change of the command over the lag."""
+        """Return whether a disturbance exceeds the rotors' slew rate, by the change of the command over the lag."""
         vehicle, size = self._model.vehicle, torch.tensor(DISTURBANCE, dtype=torch.float64).repeat_interleave(3)
         if "slew" not in vehicle.traits:
             return False
@@ -275,11 +275,11 @@ class ClosedLoop:
 
     @property
     def holds_place(self) -> bool:
-        """Whether the law holds a place, or a velocity, which is 0 at hover."""
+        """Whether the law controls position, or velocity, which is 0 at hover."""
         return "vx" in self.axes.split()
 
     def rest(self, dt: float, corner: Corner = None) -> Rest:
-        """Return the rest of the loop at a time step [s]."""
+        """Return the equilibrium of the loop at a time step [s]."""
         if (dt, corner) not in self._rests:
             loop = self._sampled(dt, corner)
             start = loop.start(HEIGHT, self._hover)
@@ -287,7 +287,7 @@ class ClosedLoop:
         return self._rests[dt, corner]
 
     def left_after(self, dt: float, steps: int, size: Tensor) -> Tensor:
-        """Return the largest distance from rest on each of ``AXES``, (12,), some steps after starts up to a size on each."""
+        """Return bounds of the deviations on ``AXES``, (12,), after some steps from deviations up to a size on each axis."""
         loop = self.rest(dt).loop
         mapped = torch.linalg.matrix_power(loop.period_map()[0], steps // len(loop.steps))
         return mapped[:BODY, :BODY].abs() @ size.to(mapped)
@@ -298,7 +298,7 @@ class ClosedLoop:
         return distances(rest, rotors=rest.start[0, BODY : BODY + len(self._hover)], dt=dt).amax(0)
 
     def _kept(self, width: int) -> list[int]:
-        """Return the numbers of a state vector of some width that the loop brings to rest."""
+        """Return the indices of controlled states in a state vector of the given width."""
         first = BODY + len(self._hover)
         drifting = {first + place for place in self._drifting}
         return [AXES.index(name) for name in self.axes.split()] + [

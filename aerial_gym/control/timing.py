@@ -1,4 +1,4 @@
-"""When the levels of a controller run, in physics steps: rates become whole numbers of them, or are refused."""
+"""Timing of the levels of a controller in whole physics steps; other rates are refused."""
 
 from dataclasses import dataclass
 
@@ -6,42 +6,42 @@ from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.errors import ConfigError
 
 WHOLE = 1e-6
-"""How far a ratio may be from a whole number, as a share: rates and time steps are decimal fractions."""
+"""Relative tolerance of whole ratios, because rates and time steps are decimal fractions."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Timing:
-    """Physics steps between the runs of each level, and until a message has come through."""
+    """Periods and delays of the levels, in physics steps."""
 
     dt: float  # Physics step [s]
-    law: int  # Between runs of the law; a multiple of `loop`
-    loop: int  # Between runs of the rate loop; that of the law where there is none
-    delay: int  # From the law to the rate loop
-    action_delay: int  # To the law
+    law: int  # Period of the law; a multiple of `loop`
+    loop: int  # Period of the rate loop; that of the law without one
+    delay: int  # Delay from the law to the rate loop
+    action_delay: int  # Delay of the action to the law
 
     @property
     def setpoint_slots(self) -> int:
-        """How many wishes of the law must be remembered."""
+        """Number of setpoints in the ring."""
         if self.delay:
             return self.delay // self.law + 2
         return int(self.law > self.loop)
 
     @property
     def action_slots(self) -> int:
-        """How many actions must be remembered."""
+        """Number of actions in the ring."""
         return self.action_delay + 1 if self.action_delay else 0
 
     @property
     def extra_lag(self) -> float:
-        """By which the law sees the answer of the rate loop late, beyond one run of the loop [s]."""
+        """Delay between law and rate loop beyond one run of the loop [s]."""
         return (self.law - self.loop + self.delay) * self.dt
 
 
 def timing_of(cfg: ControllerCfg, dt: float) -> Timing:
-    """Return when the levels of a controller run at physics steps of ``dt`` [s].
+    """Return the timing of a controller's levels at physics steps of ``dt`` [s].
 
     Raises:
-        ConfigError: If no whole number of steps fits into a period or a delay, or the law runs between runs of its loop.
+        ConfigError: If a period or delay is not a whole number of steps, or the law's period not one of its loop's.
     """
     inner = cfg.inner
     loop_hz = None if inner is None else inner.rate_hz

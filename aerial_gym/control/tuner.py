@@ -1,10 +1,10 @@
-"""Gains that meet a bandwidth and a damping ratio on vehicles with rotor lag and dead time, in all environments at once.
+"""Gain tuning for a bandwidth and a damping ratio, with rotor lag and dead time, in all environments at once.
 
-The attitude loop is ``L(s) = (k_p + k_d s) H(s) / s²`` with what is between a wanted and a given angular acceleration,
-``H(s) = exp(-d s) / (T s + 1)``. A pair of poles at ``s = w (-z + i sqrt(1 - z²))`` asks for ``k_p + k_d s = -s² / H(s)``: one
-complex equation, linear in both gains, exact with lag and dead time. What is left is the frequency w at which the closed loop
-``k_p H / (s² + (k_p + k_d s) H)`` has the wanted bandwidth, by bisection. The position loop is the same around the closed
-attitude loop, whose response is its H.
+The attitude loop is ``L(s) = (k_p + k_d s) H(s) / s²`` with the response of angular acceleration to its command,
+``H(s) = exp(-d s) / (T s + 1)``. A pole pair at ``s = w (-z + i sqrt(1 - z²))`` requires ``k_p + k_d s = -s² / H(s)``: one
+complex equation, linear in both gains, exact with lag and dead time. Bisection finds the frequency w at which the closed loop
+``k_p H / (s² + (k_p + k_d s) H)`` has the wanted bandwidth. The position loop is the same, with the closed attitude loop as
+its H.
 Letters: E environments.
 Source: Derived, above; dominant poles placed by two gains: Astrom, Hagglund (2006), Advanced PID Control, section 6.4.
 """
@@ -20,41 +20,41 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.physics.vehicle import Vehicle
 
 HALVINGS = 60
-"""Of the frequency: to the last place of float64."""
+"""Bisections of the frequency, to the precision of float64."""
 
 HELD = 0.5
-"""Of a time step by which a command is late in the mean while it is held."""
+"""Mean delay of a held command, in time steps."""
 
 LEAST_DAMPING, MOST_DAMPING = 0.3, 1.0
-"""Damping ratios that can be asked for; 1 is taken as a pair just short of it."""
+"""Range of damping ratios; 1 is taken as just below 1."""
 
 FAR_POLE = 1.5
-"""How much faster than the placed pair other poles must decay, at least, for the pair to be what one sees."""
+"""Least ratio of the decay of other poles to that of the placed pair, which makes the pair dominant."""
 
 Bandwidth = float | tuple[float, float, float]
-"""[rad/s], of all axes or of x, y, z."""
+"""Bandwidth [rad/s] of all axes or of x, y, z."""
 
 Response = Callable[[Tensor], Tensor]
-"""From s, complex (E, 3), to the response there, likewise."""
+"""Function from s, complex (E, 3), to the response at s, likewise."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tuning:
-    """Gains of one loop that meet what was asked for."""
+    """Tuned gains of one loop."""
 
-    frequency: Tensor  # Of the placed pair w [rad/s], (E, 3)
+    frequency: Tensor  # Frequency w of the placed pair [rad/s], (E, 3)
     proportional: Tensor  # Acceleration per error k_p [1/s²], (E, 3)
     derivative: Tensor  # Acceleration per rate k_d [1/s], (E, 3)
-    inner: Response  # From a wanted to a given acceleration, H
+    inner: Response  # Response H of acceleration to its command
 
     @property
     def closed(self) -> Response:
-        """From the wanted to the given angle or position."""
+        """Closed-loop response of angle or position to its setpoint."""
         return _closed(self.proportional, self.derivative, self.inner)
 
     @property
     def natural_frequency(self) -> Tensor:
-        """``sqrt k_p`` [rad/s], (E, 3): what ``ControlCfg.attitude_frequency`` and ``position_frequency`` call so."""
+        """``sqrt k_p`` [rad/s], (E, 3), as ``ControlCfg.attitude_frequency`` and ``position_frequency``."""
         return self.proportional.sqrt()
 
     @property
@@ -64,7 +64,7 @@ class Tuning:
 
 
 def rotor_response(lag: Tensor, delay: float | Tensor) -> Response:
-    """Return ``exp(-d s) / (T s + 1)`` of a lag T [s], (E, 3), and a dead time d [s], (E, 1) where it differs."""
+    """Return the response ``exp(-d s) / (T s + 1)`` of a lag T [s], (E, 3), and a dead time d [s], scalar or (E, 1)."""
     return lambda s: torch.exp(-delay * s) / (lag * s + 1.0)
 
 
@@ -72,8 +72,8 @@ def placed_gains(frequency: Tensor, damping: float, inner: Response) -> tuple[Te
     """Return k_p [1/s²] and k_d [1/s], (E, 3), that place a pair of poles.
 
     Args:
-        frequency: Of the pair [rad/s], (E, 3).
-        damping: Its damping ratio, < 1.
+        frequency: Frequency of the pair [rad/s], (E, 3).
+        damping: Damping ratio of the pair, < 1.
     """
     s = frequency * complex(-damping, sqrt(1.0 - damping**2))
     wanted = -s.square() / inner(s)
@@ -82,15 +82,15 @@ def placed_gains(frequency: Tensor, damping: float, inner: Response) -> tuple[Te
 
 
 def tuned(inner: Response, lag: Tensor, *, bandwidth: Bandwidth, damping: float, what: str) -> Tuning:
-    """Return the gains with which a loop around H has a bandwidth and a damping ratio.
+    """Tune the gains of a loop around H to a bandwidth and a damping ratio.
 
     Args:
-        lag: All of its lag and dead time together [s], (E, 3); by it frequencies are bounded.
-        bandwidth: At which the closed loop gives ``sqrt 1/2`` of what is wanted [rad/s].
-        damping: Of the placed pair, ``LEAST_DAMPING`` to ``MOST_DAMPING``.
+        lag: Sum of lag and dead time [s], (E, 3), which bounds the frequency.
+        bandwidth: Frequency at which the closed-loop gain is ``sqrt 1/2`` [rad/s].
+        damping: Damping ratio of the placed pair, ``LEAST_DAMPING`` to ``MOST_DAMPING``.
 
     Raises:
-        ConfigError: If a number is none, or the lag does not let some environment have so much; it says how much all can have.
+        ConfigError: If a value is out of range, or the lag of an environment is too long; the message states the limit.
     """
     asked = lag.new_tensor(bandwidth).expand(3)
     if not bool(((asked > 0.0) & (asked < inf)).all()):
@@ -108,7 +108,7 @@ def tuned(inner: Response, lag: Tensor, *, bandwidth: Bandwidth, damping: float,
         most = [f"{value:.4g}" for value in _bandwidth(highest, damping, inner).amin(0).tolist()]
         raise ConfigError(
             f"{what} loop: a bandwidth of {bandwidth!r} rad/s with a damping of {damping:.3g} is more than a lag of "
-            f"{float(lag.amax()):.3g} s allow. Ask for at most {', '.join(most)} rad/s about x, y, z, or for less damping"
+            f"{float(lag.amax()):.3g} s allows. Ask for at most {', '.join(most)} rad/s about x, y, z, or for less damping"
         )
     proportional, derivative = placed_gains(high, damping, inner)
     return Tuning(frequency=high, proportional=proportional, derivative=derivative, inner=inner)
@@ -130,7 +130,7 @@ def _gain_at(bandwidth: Tensor, frequency: Tensor, damping: float, inner: Respon
 
 
 def _bandwidth(frequency: Tensor, damping: float, inner: Response) -> Tensor:
-    """Return the bandwidth [rad/s], (E, 3), of poles placed at a frequency: where the gain first falls below ``sqrt 1/2``."""
+    """Return the bandwidth [rad/s], (E, 3), of poles placed at a frequency: the first gain below ``sqrt 1/2``."""
     low, high = torch.zeros_like(frequency), 4.0 * frequency
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
@@ -142,13 +142,13 @@ def _bandwidth(frequency: Tensor, damping: float, inner: Response) -> Tensor:
 def tune_attitude(
     vehicle: Vehicle, *, bandwidth: Bandwidth, damping: float, delay: float | Tensor, dt: float
 ) -> Tuning:
-    """Return the gains of the attitude loop of every environment's own vehicle, on all three axes.
+    """Tune the attitude loop of every environment's own vehicle, on all three axes.
 
     Args:
-        vehicle: As identified or drawn; its rotor lags count, the slower of rise and fall.
-        bandwidth: [rad/s], of all axes or of roll, pitch and yaw. What the rotors can give about yaw is not looked at.
-        delay: Dead time between a command and the rotors [s], that of the effect ``actuation_delay``; (E,) where it differs.
-        dt: Time step of the control law [s], for which its command is held.
+        vehicle: Identified or drawn vehicle; the slower of rotor rise and fall counts.
+        bandwidth: [rad/s], of all axes or of roll, pitch and yaw. The yaw authority of the rotors is not checked.
+        delay: Dead time of the rotors [s], as in the effect ``actuation_delay``; scalar or (E,).
+        dt: Time step of the control law [s].
 
     Raises:
         ConfigError: As in ``tuned``.
@@ -162,7 +162,7 @@ def tune_attitude(
 
 
 def tune_position(attitude: Tuning, *, bandwidth: Bandwidth, damping: float) -> Tuning:
-    """Return the gains of the position loop along x, y, z around tuned pitch, tuned roll, and rotors.
+    """Tune the position loop along x, y, z around tuned pitch, tuned roll, and rotors.
 
     Args:
         bandwidth: [rad/s], of all axes or of each.

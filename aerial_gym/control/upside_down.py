@@ -1,10 +1,9 @@
-"""Starts from which a control law does not turn a vehicle over: tilted by more than 90 degrees, and no torque to right it.
+"""Upside-down starts without recovery: tilted by more than 90 degrees, with no righting torque of the control law.
 
-Laws that compare rotation matrices (``lee_*``, ``pid_*``) ask for a torque that goes with the sine of the angle, so it
-vanishes at exactly 180 degrees alone. The Crazyflie's Mellinger controller gives no torque as long as the thrust that it wants
-along the body is negative: from 90 degrees on. ``allocation: clamp`` does much the same to laws that ask for such a thrust, as
-all rotors are then at their lower limit. Laws that turn by the shortest way (``px4_*``, Brescianini, the Crazyflie's PID) have
-their largest torque there.
+Laws that compare rotation matrices (``lee_*``, ``pid_*``) command a torque with the sine of the angle, which vanishes only at
+exactly 180 degrees. The Crazyflie's Mellinger controller gives no torque while its thrust along the body is negative, from 90
+degrees on. ``allocation: clamp`` has much the same effect on laws with such a thrust, because all rotors are then at their
+lower limit. Laws of the shortest rotation (``px4_*``, Brescianini, the Crazyflie's PID) have their largest torque there.
 Letters: N start attitudes.
 """
 
@@ -27,10 +26,10 @@ from aerial_gym.physics.state import BodyState, state_at_rest
 from aerial_gym.physics.vehicle import vehicle_from_config
 
 GRID = 32
-"""Attitudes along each of roll and pitch. Even, so that none is in the middle of a range, where an equilibrium may be."""
+"""Number of attitudes in each of roll and pitch; even, to avoid a possible equilibrium in the middle of a range."""
 
 INSET = 1e-3
-"""Distance of the outermost ones from the ends, as a share of the range: an equilibrium at the very end is no region."""
+"""Distance of the outermost attitudes from the ends, as a share of the range, to avoid an equilibrium at an end."""
 
 STILL = 1e-4
 """Angular acceleration [rad/s²] below which a start counts as stuck: 10 s turn it by 0.3 degrees."""
@@ -39,7 +38,7 @@ STILL = 1e-4
 def check_starts(
     robot: RobotCfg, controller: ControllerCfg, *, gravity: float, dt: float, names: tuple[str, str]
 ) -> None:
-    """Refuse start attitudes of ``robot.initial_state`` from which the law does not turn the vehicle over.
+    """Refuse start attitudes of ``robot.initial_state`` from which the law does not recover.
 
     ``ControllerCfg.if_unstable = "warn"`` makes it a warning.
 
@@ -70,7 +69,7 @@ def check_starts(
 
 
 def attitudes_beyond(start: InitialStateCfg) -> Tensor:
-    """Return attitudes (N, 4), xyzw, on a grid over the start's roll and pitch, of those tilted by more than 90 degrees."""
+    """Return the attitudes (N, 4), xyzw, of a grid in the start's roll and pitch that are tilted by more than 90 degrees."""
     roll, pitch = (_inside(start.euler_low[i], start.euler_high[i]) for i in (0, 1))
     yaw = 0.5 * (start.euler_low[2] + start.euler_high[2])
     angles = torch.tensor([(r, p, yaw) for r, p in product(roll, pitch)], dtype=torch.float64)
@@ -80,9 +79,9 @@ def attitudes_beyond(start: InitialStateCfg) -> Tensor:
 def righting_acceleration(
     robot: RobotCfg, controller: ControllerCfg, attitudes: Tensor, *, gravity: float, dt: float
 ) -> Tensor:
-    """Return the angular acceleration about roll and pitch [rad/s²], (N,), that a law asks for at attitudes (N, 4).
+    """Return a law's angular acceleration about roll and pitch [rad/s²], (N,), at attitudes (N, 4).
 
-    The vehicle is where action 0 holds it, without velocity, and turns at the upper end of its start's body rates.
+    The vehicle is at the setpoint of action 0, without velocity, and has the largest body rates of its start.
     """
     vehicle = vehicle_from_config(robot, num_envs=len(attitudes), dtype=torch.float64)
     law = make_controller(controller, vehicle, gravity, dt=dt, control=robot.control)
@@ -95,7 +94,7 @@ def righting_acceleration(
 
 
 def _settled_command(law: Controller, state: BodyState) -> Tensor:
-    """Return the rotor command (N, R) once the law has seen the state for as long as its delays last."""
+    """Return the rotor command (N, R) for a constant state, after all delays of the law."""
     action = state.position.new_zeros(state.num_envs, len(law.action_names))
     if not isinstance(law, RememberingController):
         return law.rotor_command(state, action)

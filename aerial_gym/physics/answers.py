@@ -39,7 +39,7 @@ class _Reader:
 class _Answer:
     params: Tensor | None
     read: dict[str, Any]
-    found: Tensor
+    value: Tensor
 
 
 class Answers(Generic[Source]):
@@ -61,12 +61,12 @@ class Answers(Generic[Source]):
         for number, answer in enumerate(kept):
             if _same(params, answer.params) and _reads_same(answer.read, source):
                 kept.insert(0, kept.pop(number))
-                return answer.found
+                return answer.value
         reader = _Reader(source)
-        found = law(cast("Source", reader), *(() if params is None else (params,)))
-        kept.insert(1, _Answer(params=params, read=reader.read, found=found))
+        value = law(cast("Source", reader), *(() if params is None else (params,)))
+        kept.insert(1, _Answer(params=params, read=reader.read, value=value))
         del kept[KEPT:]
-        return found
+        return value
 
 
 def _reads_same(read: dict[str, Any], source: object) -> bool:

@@ -223,7 +223,7 @@ def effects_from_config(
     """
     found = []
     for name, values in effects.items():
-        effect = EFFECTS.get(name) if robot is None else EFFECTS.get(name).of(robot)
+        effect = EFFECTS.get(name) if robot is None else EFFECTS.get(name).bind_robot(robot)
         row = torch.tensor(effect.params_from(values), dtype=dtype, device=device)
         found.append((effect, row.expand(num_envs, -1).clone()))
     return found
@@ -254,7 +254,7 @@ def effects_on_rigid(robot: RobotCfg) -> dict[str, Mapping[str, float]]:
 def check_effects(robot: RobotCfg) -> None:
     """Raise the errors of ``effects_from_config`` without making a tensor, and what an effect misses in the robot file."""
     for name, values in robot.effects.items():
-        effect = EFFECTS.get(name).of(robot)
+        effect = EFFECTS.get(name).bind_robot(robot)
         check_rotors(effect, robot.rotor_traits)
         check_joints(effect, bends=robot.joints is not None)
         effect.check(robot)

@@ -280,7 +280,7 @@ class TorchBackend:
         if bends is None or not bends.num_creep:
             return step()
         before = bends.fresh_creep(state.num_envs) if self._crept is None else self._crept
-        crept = bends.settled(before, state.joint_pos)
+        crept = bends.initialise_creep(before, state.joint_pos)
         after = step(crept=crept)
         crept = bends.creep_on(crept, after.joint_pos, dt)
         self._crept = crept if self._crept is None or crept.requires_grad else self._crept.copy_(crept)

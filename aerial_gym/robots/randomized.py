@@ -244,7 +244,9 @@ class Randomized:
 
 def _parameters(effect: str, robot: RobotCfg) -> tuple[Parameter, ...]:
     """Return the parameters that an effect has on a robot."""
-    return EFFECTS.get(effect).of(robot).parameters if effect in robot.effects else EFFECTS.get(effect).parameters
+    return (
+        EFFECTS.get(effect).bind_robot(robot).parameters if effect in robot.effects else EFFECTS.get(effect).parameters
+    )
 
 
 def _limits(name: str, parameter: Parameter | None, num_rotors: int) -> tuple[float, float]:

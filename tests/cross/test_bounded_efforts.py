@@ -119,7 +119,7 @@ def residual_of(exact: Flown, found: Equations, start: JointedState, end: Jointe
     if drive is not None:
         has_drive = torch.zeros_like(bends.friction)
         has_drive[:, list(bends.driven)] = 1.0
-        lawful = lawful + drive.wanted(end.joint_pos, end.joint_vel).clamp(-drive.limit, drive.limit)
+        lawful = lawful + drive.effort_demand(end.joint_pos, end.joint_vel).clamp(-drive.limit, drive.limit)
         limit = limit + has_drive * drive.limit
     return torch.where(limit > 0.0, (effort - lawful).abs() / limit.clamp_min(1e-12), 0.0)
 

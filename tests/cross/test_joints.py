@@ -119,7 +119,7 @@ def fly(
     articulation = articulation_of(robot, like=vehicle.mass)
     rows = []
     for name in effects:
-        effect = EFFECTS.get(name).of(robot)
+        effect = EFFECTS.get(name).bind_robot(robot)
         row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
         rows.append((effect, torch.tensor(row, dtype=dtype).expand(copies * NUM_ENVS, -1).clone()))
     model = build_model(adjust(vehicle), rows, ceiling_height=CEILING, articulation=articulation)

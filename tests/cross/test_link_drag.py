@@ -49,7 +49,7 @@ def rows_of(robot: RobotCfg, others: tuple[str, ...], dtype: torch.dtype) -> lis
     """Return effects of the robot and others, each environment with numbers of its own."""
     each, rows = torch.linspace(0.5, 1.5, NUM_ENVS, dtype=dtype).unsqueeze(1), []
     for name, values in robot.effects.items():
-        law = EFFECTS.get(name).of(robot)
+        law = EFFECTS.get(name).bind_robot(robot)
         rows.append((law, each * torch.tensor(law.params_from(values), dtype=dtype)))
     for name in others:
         effect = EFFECTS.get(name)

@@ -156,4 +156,4 @@ def test_as_declared_nothing_fails(name: str) -> None:
     torch.testing.assert_close(
         end.rotor_speed, torch.full((1, 4), lagged(START, TOLD, 0.2), dtype=F64), atol=1e-9, rtol=0
     )
-    assert not effect.sought
+    assert not effect.is_selectable

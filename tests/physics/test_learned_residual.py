@@ -94,7 +94,7 @@ def test_one_unit_has_its_closed_form(velocity: float, force: float) -> None:
     felt = torch.zeros(1, 7, dtype=F64)
     felt[0, 0] = velocity
     expected = torch.tensor([[force, 0.0, 0.0, 0.0, 0.0, 0.0]], dtype=F64)
-    torch.testing.assert_close(LearnedResidual(one_unit()).of(felt), expected, atol=1e-15, rtol=1e-12)
+    torch.testing.assert_close(LearnedResidual(one_unit()).evaluate(felt), expected, atol=1e-15, rtol=1e-12)
 
 
 @pytest.mark.parametrize("cfg", NETWORKS)

@@ -36,9 +36,9 @@ class Draw:
 
     def __call__(self, name: str) -> float:
         """Draw a declared number, uniform within its range."""
-        return self.between(*self._ranges[name])
+        return self.uniform(*self._ranges[name])
 
-    def between(self, low: float, high: float) -> float:
+    def uniform(self, low: float, high: float) -> float:
         """Draw a number between two limits, for use inside a rule."""
         return low + (high - low) * float(self._random.random())
 

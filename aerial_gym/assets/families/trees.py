@@ -11,8 +11,8 @@ TRUNK, BRANCH = (0.40, 0.28, 0.18), (0.30, 0.46, 0.22)
 
 def _branch(draw: Draw, tree_height: float) -> PartCfg:
     """Return a rising branch in a random direction, which starts above the lowest third of the trunk."""
-    foot = tree_height * draw.between(0.35, 1.0)
-    length, tilt, heading = draw("branch_length"), 0.5 * pi - draw("rise"), draw.between(-pi, pi)
+    foot = tree_height * draw.uniform(0.35, 1.0)
+    length, tilt, heading = draw("branch_length"), 0.5 * pi - draw("rise"), draw.uniform(-pi, pi)
     middle = 0.5 * length
     return PartCfg(
         shape=ShapeCfg(kind="cylinder", radius=draw("branch_radius"), height=length, color=BRANCH),

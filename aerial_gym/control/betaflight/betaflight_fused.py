@@ -1,4 +1,4 @@
-"""Betaflight's rate loop for one environment in the fused kernel, the twin of ``control.betaflight.controller``.
+"""Betaflight's rate loop in the fused kernel: the Warp version of ``control.betaflight.controller``.
 
 Letters: E environments, R rotors.
 """
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from aerial_gym.control.remembering import Layout
 
 FILTERS, SLOW, EASED, BEFORE, USED = 3, 27, 30, 33, 36
-"""Places of ``controller.PARTS``."""
+"""Offsets of ``controller.PARTS``."""
 
 
 @wp.struct
@@ -45,7 +45,7 @@ class BetaflightRows:
 
 
 def make_wish(rates_type: str) -> wp.Function:
-    """Return the thrust per weight and the body rates [rad/s] that an action asks for."""
+    """Return the function from an action to thrust per weight and body rates [rad/s]."""
 
     @wp.func
     def rates(
@@ -73,7 +73,7 @@ def make_wish(rates_type: str) -> wp.Function:
 def make_loop(
     law: FusedLaw, num_rotors: int, general: bool, own: BetaflightCfg, filters: "BetaflightFilters", timing: Timing
 ) -> wp.Function:
-    """Return ``controller.BetaflightController._loop``."""
+    """Return the Warp version of ``controller.BetaflightController._loop``."""
     types = rotor_types(num_rotors, general)
     command_type, vector, period = types.command, types.vector, float(timing.loop)
     gyro1, gyro2, slow1, slow2 = (
@@ -148,7 +148,7 @@ def make_loop(
 
 
 def make_mixer(num_rotors: int, airmode: bool) -> wp.Function:
-    """Return ``loop.mixed``."""
+    """Return the Warp version of ``loop.mixed``."""
     vector = rotor_types(num_rotors).vector
 
     @wp.func
@@ -173,7 +173,7 @@ def make_mixer(num_rotors: int, airmode: bool) -> wp.Function:
 def maker(
     own: BetaflightCfg, filters: "BetaflightFilters", timing: Timing, layout: "Layout"
 ) -> Callable[[FusedLaw, int, bool], wp.Function]:
-    """Return what composes the loop for a number of rotors: ``FusedLaw.make_stateful_step``."""
+    """Return ``FusedLaw.make_stateful_step`` of the loop."""
 
     def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
         run_loop = make_loop(law, num_rotors, general, own, filters, timing)

@@ -2,12 +2,12 @@
 
     action -> body rates (at ``ControllerCfg.rate_hz``) -> filters, PID and mixer (at ``BetaflightCfg.rate_hz``) -> motors
 
-The throttle of an action is one of thrust, as that of other controllers: 0 holds the weight. A motor signal from 0 to 1 stands
-for a share of the way from the lowest to the highest speed.
+The throttle of an action is a thrust, as for other controllers: 0 holds the weight. A motor signal from 0 to 1 is linear in
+the speed, from the lowest to the highest.
 Not modelled: notch and RPM filters, dynamic cut-offs, PT2 and PT3 filters, the low-pass of yaw P, D max, anti-gravity,
 throttle boost, stick smoothing, TPA below ``tpa_low_breakpoint``, thrust linearisation, dynamic idle, yaw spin recovery, and
-the battery. TPA acts on the run whose throttle it follows; the firmware's acts one run later.
-Frames: body x forward, y left, z up. Betaflight's are others: signs change, and the law does not.
+the battery. TPA follows the throttle of the same run; the firmware's acts one run later.
+Frames: body x forward, y left, z up. Betaflight's differ in signs only.
 Letters: E environments, R rotors, M remembered numbers.
 """
 
@@ -35,8 +35,8 @@ from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import Vehicle
 
 PARTS = (3, 6, 6, 6, 6, 3, 3, 3, 1)
-"""What it remembers: integral; inner values of the two filters of body rates and of the two of the derivative; filtered rate
-for the derivative, low-pass of the wanted rate, and wanted rate of the run before; range of the corrections."""
+"""Sizes of its memory: integral; states of the two filters of body rates and of the two of the derivative; filtered rate of
+the derivative, low-pass of the setpoint, and setpoint of the previous run; range of the corrections."""
 
 STICKS = ("thrust (0 is hover) [-]", "roll stick, -1 to 1 [-]", "pitch stick [-]", "yaw stick [-]")
 
@@ -48,7 +48,7 @@ class BetaflightController(RememberingController):
     """None are drawn: they are Betaflight's parameters, one set for all."""
 
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
-        """Take the configuration, the declared vehicle, gravity [m/s²], the physics step [s] and the robot's own settings."""
+        """Derive gains and filters from configuration, declared vehicle, gravity [m/s²], physics step [s] and robot file."""
         own: BetaflightCfg = autopilot_of(cfg, control)
         self._own = own
         self.timing = timing = timing_of(replace(cfg, betaflight=own), dt)
@@ -79,7 +79,7 @@ class BetaflightController(RememberingController):
         return command, numbers, sent
 
     def _loop(self, ang_vel: Tensor, setpoint: Tensor, kept: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
-        """Return rotor speeds [rad/s], (E, R), for a thrust per weight and body rates, (E, 4), and what is kept, (E, M)."""
+        """Return rotor speeds [rad/s], (E, R), for thrust per weight and body rates, (E, 4), and the new memory, (E, M)."""
         gains, own, span = self.gains, self._own, self.timing.loop * self.timing.dt
         integral, *inner, slow, eased, before, used = kept.split(PARTS, dim=-1)
         filters, rate, inners = (*self.filters.gyro, *self.filters.derivative), ang_vel, []
@@ -111,7 +111,7 @@ class BetaflightController(RememberingController):
         return (speed - self._low) / self._span
 
     def fused(self) -> FusedLaw:
-        """Return the twin in Warp."""
+        """Return the Warp version of the law."""
         return self._fused(
             make_stateful_step=betaflight_fused.maker(self._own, self.filters, self.timing, self._layout),
             gains_type=betaflight_fused.BetaflightRows,
@@ -120,5 +120,5 @@ class BetaflightController(RememberingController):
 
 
 def _held(values: Tensor, limit: Tensor) -> Tensor:
-    """Return values (E, 3) within plus and minus a limit, (E, 3)."""
+    """Clamp values (E, 3) to plus and minus a limit (E, 3)."""
     return torch.minimum(torch.maximum(values, -limit), limit)

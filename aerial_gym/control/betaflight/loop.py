@@ -14,14 +14,14 @@ RELAXED_FROM = radians(40.0)
 """High-passed setpoint at which I-term relax stops the integral [rad/s]. Source: Betaflight 4.5, ``pid.c``, 40 deg/s."""
 
 RATE_LIMIT = radians(1998.0)
-"""Largest rate that sticks can ask for [rad/s]. Source: Betaflight 4.5, ``rc.c``, 1998 deg/s."""
+"""Largest rate setpoint of the sticks [rad/s]. Source: Betaflight 4.5, ``rc.c``, 1998 deg/s."""
 
 THROTTLE_STEP = 0.001
 """Resolution of the throttle command [-]; a smaller throttle is zero. Source: Betaflight 4.5, ``rc.c``, 1000 to 2000 us."""
 
 
 def actual_rate(stick: Tensor, center: Tensor, largest: Tensor, expo: Tensor) -> Tensor:
-    """Return the rate that a stick asks for: ``c x + max(m - c, 0) |x| (e x⁵ + (1 - e) x)``, at most ``RATE_LIMIT``.
+    """Return the rate setpoint of a stick: ``c x + max(m - c, 0) |x| (e x⁵ + (1 - e) x)``, at most ``RATE_LIMIT``.
 
     Args:
         stick: x, -1 to 1, (E, 3).
@@ -37,11 +37,11 @@ def actual_rate(stick: Tensor, center: Tensor, largest: Tensor, expo: Tensor) ->
 
 
 def integral_share(change: Tensor, used: Tensor, windup: float) -> Tensor:
-    """Return the factor on the growth of the integrals, (E, 3), 0 to 1.
+    """Return the anti-windup factor on the growth of the integrals, (E, 3), 0 to 1.
 
     Args:
         change: Setpoint minus its low-pass [rad/s], (E, 3); 0 on axes without I-term relax.
-        used: Range of the corrections of the run before, as a share of the motors' range, (E, 1).
+        used: Range of the previous corrections, as a share of the motors' range, (E, 1).
         windup: Range from which the integral of yaw slows down; 1 for never.
 
     Source:
@@ -58,7 +58,7 @@ def mixed(throttle: Tensor, mix: Tensor, *, airmode: bool) -> tuple[Tensor, Tens
     """Return motor signals, 0 to 1, (E, R), and the range of the corrections, (E, 1).
 
     Corrections that need more than the motors' range are scaled down to it. Without airmode they are scaled further:
-    by a half at zero throttle, linearly less up to half throttle. The throttle then moves until no motor is beyond a limit.
+    by a half at zero throttle, linearly less up to half throttle. The throttle then moves until no motor exceeds a limit.
 
     Args:
         throttle: Signals without corrections, (E, R); their mean is the throttle.
@@ -83,7 +83,7 @@ def weakening(throttle: Tensor, rate: float, breakpoint: float) -> Tensor:
 
     Args:
         throttle: 0 to 1, (E, R); their mean counts.
-        rate: By how much at full throttle, 0 to 1.
-        breakpoint: Throttle from which it begins, 0 to below 1.
+        rate: Attenuation at full throttle, 0 to 1.
+        breakpoint: Throttle at which attenuation begins, 0 to below 1.
     """
     return 1.0 - rate * ((throttle.mean(-1, keepdim=True) - breakpoint) / (1.0 - breakpoint)).clamp(0.0, 1.0)

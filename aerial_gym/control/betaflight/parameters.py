@@ -1,4 +1,4 @@
-"""Betaflight's parameters as rows of tensors, what is left out derived from the vehicle, and its filters at their rate.
+"""Betaflight's parameters as rows of tensors, with defaults derived from the vehicle, and its filters.
 
 Letters: E environments, R rotors.
 """
@@ -25,15 +25,15 @@ AXES = ("roll", "pitch", "yaw")
 
 @dataclass(frozen=True, kw_only=True)
 class BetaflightGains:
-    """Rows of all environments, (E, 3) or (E, 1). Corrections are shares of the motors' range."""
+    """Gains of all environments, (E, 3) or (E, 1). Corrections are shares of the motors' range."""
 
     rate: Tensor  # Per rate error [s/rad]
     integral: Tensor  # Per integrated rate error [1/rad]
     derivative: Tensor  # Per measured angular acceleration [s²/rad]
     forward: Tensor  # Per slope of the wanted rate [s²/rad]
     limit: Tensor  # Of the correction
-    integral_limit: Tensor  # Of the integral; 0 about an axis about which the rotors give no torque
-    mix: Tensor  # Factor on the columns of the allocation that makes the largest correction of a motor 1
+    integral_limit: Tensor  # Of the integral; 0 about axes without rotor torque
+    mix: Tensor  # Scale of the allocation's columns: a correction of 1 uses the whole range of the most affected motor
     weight: Tensor  # Of the vehicle [N]
     center: Tensor  # Rate per stick about the centre [rad/s]
     largest: Tensor  # Rate at full stick [rad/s]
@@ -42,25 +42,25 @@ class BetaflightGains:
 
 @dataclass(frozen=True, kw_only=True)
 class BetaflightFilters:
-    """At the rate of the loop; None for none."""
+    """Filters at the rate of the loop; None for an absent filter."""
 
     gyro: tuple[Biquad | None, Biquad | None]
     derivative: tuple[Biquad | None, Biquad | None]
-    relax: float  # Share of the new value that the low-pass of I-term relax takes in
+    relax: float  # Low-pass coefficient of I-term relax: the share of the new value
 
 
 def require_fit(law: str, vehicle: Vehicle, allocation: Allocation) -> None:
-    """Raise ``ConfigError`` for vehicles that Betaflight's mixer does not fly."""
+    """Raise ``ConfigError`` for vehicles that Betaflight's mixer cannot fly."""
     if law != "rates":
-        raise ConfigError(f"law {law!r}: Betaflight's rate loop has rates alone")
+        raise ConfigError(f"law {law!r}: Betaflight's rate loop follows body rates only. Take law: rates")
     if kinds := vehicle.traits & {"reversible", "force"}:
         raise ConfigError(
-            f"law {law!r}: Betaflight's motors turn one way and are told a share of their speed, and rotors of this "
+            f"law {law!r}: Betaflight's motors turn in one direction and take a share of their speed; rotors of this "
             f"vehicle are of another kind ({', '.join(sorted(kinds))}). Take lee_rates_control"
         )
     if bool((allocation.inverse[0, :, 2] <= 0.0).any()):
         raise ConfigError(
-            f"law {law!r}: Betaflight's throttle is that of motors that all push up, and some of this vehicle's do not. Take "
+            f"law {law!r}: Betaflight's throttle needs rotors that all push up; some of this vehicle do not. Take "
             "lee_rates_control or fully_actuated_control"
         )
 
@@ -69,10 +69,10 @@ def parameters_of(
     cfg: ControllerCfg, own: BetaflightCfg, control: ControlCfg, vehicle: Vehicle, allocation: Allocation, *,
     gravity: float, timing: Timing,
 ) -> BetaflightGains:  # fmt: skip
-    """Return the parameters of a declared vehicle, the same in all environments.
+    """Derive the parameters for a declared vehicle, equal in all environments.
 
-    Gains that are left out follow from ``control.gains``: its torque per rate error, at hover, and an integral that is slower
-    by a², with the a of that module.
+    Missing gains follow from ``control.gains``: the torque per rate error at hover, and an integral that is slower by a², with
+    the a of that module.
     """
     base = gains_for(
         cfg, control, vehicle, allocation, gravity=gravity, dt=timing.loop * timing.dt, extra_lag=timing.extra_lag
@@ -120,17 +120,17 @@ def parameters_of(
 
 
 def thrust_per_signal(vehicle: Vehicle, thrust: Tensor) -> Tensor:
-    """Return by how much the thrusts grow with the motor signals, 0 to 1, about thrusts [N], both (R,)."""
+    """Return the slope of thrust per motor signal (0 to 1) at thrusts [N], both (R,)."""
     c0, c1, c2 = vehicle.thrust_map[0].unbind(-1)
     speed = ((c1.square() + 4.0 * c2 * (thrust - c0)).clamp_min(0.0).sqrt() - c1) / (2.0 * c2)
     return (c1 + 2.0 * c2 * speed) * (vehicle.speed_high[0] - vehicle.speed_low[0])
 
 
 def filters_of(own: BetaflightCfg, timing: Timing) -> BetaflightFilters:
-    """Return the filters at the rate at which the loop runs.
+    """Make the filters for the rate of the loop.
 
     Raises:
-        ConfigError: If one of second order is not below half of it.
+        ConfigError: If the cut-off of a second-order filter is not below half of that rate.
     """
     span = timing.loop * timing.dt
 
@@ -143,8 +143,8 @@ def filters_of(own: BetaflightCfg, timing: Timing) -> BetaflightFilters:
             return Biquad(share, 0.0, 0.0, share - 1.0, 0.0)
         if cutoff * span >= 0.5:
             raise ConfigError(
-                f"BetaflightCfg.{name}_static_hz = {cutoff:g}: must be below half of the {1.0 / span:g} Hz at which the loop "
-                "runs. Take 0 to leave it out, PT1, or a smaller physics step (SimCfg.dt)"
+                f"BetaflightCfg.{name}_static_hz = {cutoff:g}: must be below half of the loop's {1.0 / span:g} Hz. "
+                "Take 0 for no filter, PT1, or a smaller physics step (SimCfg.dt)"
             )
         return butterworth(cutoff, 1.0 / span)
 

@@ -1,1 +1,1 @@
-"""Controllers of the Crazyflie, from their papers and its documentation, in its units."""
+"""Controllers of the Crazyflie, from papers and its documentation, in its own units."""

@@ -1,11 +1,11 @@
-"""The controller of Brescianini, Hehn and D'Andrea as the Crazyflie flies it: acceleration, turn to it, body rates.
+"""The controller of Brescianini, Hehn and D'Andrea in the Crazyflie's version: acceleration, reduced attitude, body rates.
 
 It has no memory. Frames: world z up, body x forward, y left, z up; quaternions xyzw. Letters: E environments.
 Source: Brescianini, Hehn, D'Andrea (2013), Nonlinear quadrocopter attitude control, ETH Zurich; the loops around it: Lupashin,
 Hehn, Mueller, Schoellig, Sherback, D'Andrea (2014), A platform for aerial robotics research and demonstration: the Flying
-Machine Arena, Mechatronics 24(1). Parameters are those of the Crazyflie, which flies it without the report's gyroscopic torque
+Machine Arena, Mechatronics 24(1). Parameters are those of the Crazyflie, which omits the report's gyroscopic torque
 ``w x J w`` (``tests/cross/firmware``).
-Thrust, turn to the attitude and its rates run at 100 Hz there, the torque at 500 Hz.
+There, thrust, attitude and rate setpoint run at 100 Hz, the torque at 500 Hz.
 """
 
 from dataclasses import dataclass
@@ -45,17 +45,17 @@ def lean(
     gravity: float,
     max_inclination: float | None = None,
 ) -> Tensor:
-    """Return thrust [N] and body rates [rad/s], (E, 4), that position and attitude control ask for.
+    """Return thrust [N] and body-rate setpoint [rad/s], (E, 4), of position and attitude control.
 
-    ``a = e_p / tau² + 2 zeta / tau e_v + a_d + g e_z``. The thrust carries the vertical part of a, however the body leans:
-    ``m a_z / (R e_z)_z``, least where it points downwards. The wanted attitude is the wanted yaw, then the shortest turn from
-    up to a; the rates are ``2 / tau_rp`` times the vector part of the turn to it, a share of its heading alone, plus the wanted
-    ones.
+    ``a = e_p / tau² + 2 zeta / tau e_v + a_d + g e_z``. The thrust ``m a_z / (R e_z)_z`` gives the vertical part of a at any
+    tilt; a body that points downwards gets the least thrust. The attitude setpoint is the yaw, then the shortest rotation from
+    up to a. The rates are ``2 / tau_rp`` times the vector part of the error quaternion, with a share of its heading, plus
+    feed-forward.
 
     Args:
         gravity: Downward acceleration of free fall [m/s²].
-        max_inclination: Largest tilt of a [rad], whose part upwards is then a tenth of gravity at least; None: no limit, for
-            targets whose acceleration points upwards.
+        max_inclination: Largest tilt of a [rad], whose vertical part is then at least a tenth of gravity; None: no limit, for
+            targets with an acceleration upwards.
     """
     error, drift = target.position - state.position, target.velocity - state.lin_vel
     weight = target.acceleration + target.acceleration.new_tensor((0.0, 0.0, gravity))
@@ -77,7 +77,7 @@ def turn(ang_vel: Tensor, wanted: Tensor, gains: BrescianiniGains) -> Tensor:
 
 
 def _within_limits(rates: Tensor, gains: BrescianiniGains) -> Tensor:
-    """Return body rates [rad/s], (E, 3), within their limits: about x and y together, so that they turn about the same axis."""
+    """Limit body rates [rad/s], (E, 3); those about x and y keep their common direction."""
     tilting, limit = rates[:, :2], gains.tilt_rate_limit
     tilting = tilting * (limit / torch.maximum(tilting.norm(dim=-1, keepdim=True), limit))
     heading = torch.minimum(torch.maximum(rates[:, 2:], -gains.yaw_rate_limit), gains.yaw_rate_limit)

@@ -1,4 +1,4 @@
-"""The Crazyflie's controller of Brescianini for one environment in the fused kernel, the twin of ``brescianini``.
+"""The Crazyflie's Brescianini controller in the fused kernel: the Warp version of ``brescianini``.
 
 Letters: E environments, R rotors.
 """
@@ -42,7 +42,7 @@ class BrescianiniRows:
 
 
 def make_lean(*, gravity: float, max_inclination: float) -> wp.Function:
-    """Return ``brescianini.lean`` to a point at rest: thrust [N] and body rates [rad/s] that an action asks for."""
+    """Return the Warp version of ``brescianini.lean`` for a point at rest: thrust [N] and body rates [rad/s]."""
     slope = tan(max_inclination)
 
     @wp.func
@@ -71,7 +71,7 @@ def make_lean(*, gravity: float, max_inclination: float) -> wp.Function:
 
 
 def make_turn(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
-    """Return ``brescianini.turn`` and the allocation behind it."""
+    """Return the Warp version of ``brescianini.turn`` with the allocation."""
     types = rotor_types(num_rotors, general)
     command_type, vector = types.command, types.vector
     allot, speed_of = make_allot(law, num_rotors, general), make_speed_of(num_rotors, general)
@@ -90,7 +90,7 @@ def make_turn(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
 
 
 def brescianini_maker(timing: Timing, layout: "Layout", *, gravity: float, max_inclination: float) -> Maker:
-    """Return what composes the controller for a number of rotors: ``FusedLaw.make_stateful_step``."""
+    """Return ``FusedLaw.make_stateful_step`` of the controller."""
 
     def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
         wish = make_lean(gravity=gravity, max_inclination=max_inclination)

@@ -7,8 +7,8 @@
     crazyflie_brescianini_control: action -> thrust, wanted rates (at ``ControllerCfg.rate_hz``)
                                          -> torque (at ``BrescianiniCfg.rate_hz``) -> allocation -> rotors
 
-Unlike there, integrals and differences begin with what is measured first, so that a reset gives no kick, and what Mellinger
-and Brescianini want of the thrust leans no further than other laws' (``ControlCfg.max_inclination``).
+Differences to the firmware: integrals and differences start from the first measurement, so that a reset gives no kick, and
+the thrust of Mellinger and Brescianini respects ``ControlCfg.max_inclination``.
 Not modelled: the estimator, compensation of the battery, and the cut of the thrust near the ground.
 Frames: world z up, body x forward, y left, z up. Letters: E environments, R rotors, M remembered numbers.
 """
@@ -53,7 +53,7 @@ from aerial_gym.physics.vehicle import Vehicle
 
 
 class _Crazyflie(RememberingController):
-    """What all have in common: parameters, and a point to fly to."""
+    """Common part of the controllers: parameters, and a target point."""
 
     gains_by_name: Mapping[str, Tensor] = MappingProxyType({})
     """None are drawn: they are the Crazyflie's parameters, one set for all."""
@@ -75,7 +75,7 @@ class _Crazyflie(RememberingController):
 
 
 class _CrazyflieInCounts(_Crazyflie):
-    """What those that answer in counts have in common: a power distribution."""
+    """Common part of controllers with output in counts: the power distribution."""
 
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
         """Take what ``make_controller`` does."""
@@ -91,7 +91,7 @@ class _CrazyflieInCounts(_Crazyflie):
 
 
 def _point(action: Tensor) -> mellinger.FlatTarget:
-    """Return the point at rest, and the yaw, that an action (E, 4) names."""
+    """Return the target at rest of an action (E, 4): position and yaw."""
     still = torch.zeros_like(action[:, :3])
     return mellinger.FlatTarget(
         position=action[:, :3], velocity=still, acceleration=still, yaw=action[:, 3], rates=still

@@ -1,6 +1,6 @@
-"""The Crazyflie's controllers for one environment in the fused kernel, the twins of ``control.crazyflie.controller``.
+"""The Crazyflie's controllers in the fused kernel: Warp versions of ``control.crazyflie.controller``.
 
-Which way each rotor turns the vehicle is the same for all environments and stands in the code.
+The torque signs of the rotors are equal in all environments and are constants of the generated code.
 Letters: E environments, R rotors.
 """
 
@@ -74,13 +74,13 @@ class PidRows:
 
 @wp.func
 def within(vector: wp.vec3, limit: wp.vec3) -> wp.vec3:
-    """Return a vector within plus and minus a limit."""
+    """Clamp a vector to plus and minus a limit."""
     return wp.min(wp.max(vector, -limit), limit)
 
 
 @wp.func
 def run_level(level: LevelRows, error: wp.vec3, change: wp.vec3, integral: wp.vec3, dt: float):
-    """Return output and integral: ``pid.PidLevel.run``."""
+    """Return output and integral of ``pid.PidLevel.run``."""
     grown = within(integral + dt * error, level.limit)
     output = wp.cw_mul(level.proportional, error) + wp.cw_mul(level.integral, grown)
     return output - wp.cw_mul(level.derivative, change) / dt, grown
@@ -88,18 +88,18 @@ def run_level(level: LevelRows, error: wp.vec3, change: wp.vec3, integral: wp.ve
 
 @wp.func
 def in_heading(vector: wp.vec3, cosine: float, sine: float) -> wp.vec3:
-    """Return a vector of the world in the frame of the heading."""
+    """Rotate a world vector into the heading frame."""
     return wp.vec3(cosine * vector[0] + sine * vector[1], cosine * vector[1] - sine * vector[0], vector[2])
 
 
 @wp.func
 def wrapped(angles: wp.vec3) -> wp.vec3:
-    """Return roll, pitch, yaw [deg] with the yaw within half a turn."""
+    """Return roll, pitch, yaw [deg] with the yaw wrapped to -180 to 180."""
     return wp.vec3(angles[0], angles[1], angles[2] - 360.0 * wp.floor((angles[2] + 180.0) / 360.0))
 
 
 def make_motors(num_rotors: int, general: bool, signs: Tensor) -> wp.Function:
-    """Return the power distribution: from thrust and moments [counts] to commanded speeds."""
+    """Return the power distribution, from thrust and moments [counts] to commanded speeds [rad/s]."""
     types = rotor_types(num_rotors, general)
     command_type, vector, turns = types.command, types.vector, types.rows
     limited, speed_of = make_limited(num_rotors, general), make_speed_of(num_rotors, general)
@@ -122,7 +122,7 @@ def make_motors(num_rotors: int, general: bool, signs: Tensor) -> wp.Function:
 def mellinger_maker(
     timing: Timing, layout: "Layout", signs: Tensor, *, gravity: float, max_inclination: float
 ) -> Maker:
-    """Return what composes ``mellinger.mellinger_control`` for a number of rotors: ``FusedLaw.make_stateful_step``."""
+    """Return ``FusedLaw.make_stateful_step`` of ``mellinger.mellinger_control``."""
     period, slope = float(timing.loop), tan(max_inclination)
 
     def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
@@ -172,7 +172,7 @@ def mellinger_maker(
 
 
 def make_lean(timing: Timing) -> wp.Function:
-    """Return ``pid.lean``: thrust [counts], roll, pitch and yaw [deg] that an action asks for."""
+    """Return the Warp version of ``pid.lean``: from an action to thrust [counts], roll, pitch and yaw [deg]."""
     period = float(timing.law)
 
     @wp.func
@@ -205,7 +205,7 @@ def make_lean(timing: Timing) -> wp.Function:
 
 
 def make_turn(num_rotors: int, general: bool, timing: Timing, signs: Tensor) -> wp.Function:
-    """Return ``pid.turn`` and the power distribution behind it."""
+    """Return the Warp version of ``pid.turn`` with the power distribution."""
     types = rotor_types(num_rotors, general)
     command_type, vector, motors = types.command, types.vector, make_motors(num_rotors, general, signs)
     period = float(timing.loop)
@@ -237,7 +237,7 @@ def make_turn(num_rotors: int, general: bool, timing: Timing, signs: Tensor) -> 
 
 
 def pid_maker(timing: Timing, layout: "Layout", signs: Tensor) -> Maker:
-    """Return what composes the cascade for a number of rotors: ``FusedLaw.make_stateful_step``."""
+    """Return ``FusedLaw.make_stateful_step`` of the PID cascade."""
 
     def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
         run_loop = make_turn(num_rotors, general, timing, signs)

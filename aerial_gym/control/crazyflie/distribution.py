@@ -1,11 +1,11 @@
-"""From the counts of the Crazyflie's controllers to its rotors: four of them, in an X.
+"""The Crazyflie's power distribution: from thrust and moments in counts to four rotors in an X.
 
-Every rotor is told the thrust, and of the moments half of roll and pitch and all of yaw, up or down by where it stands and how
-it turns. Where one is told more than there is, all give way alike, so that the moments stay; less than nothing is nothing.
-A rotor gives of its largest thrust the share that its counts are of all.
+Each rotor gets the thrust, plus or minus half of the roll and pitch moments and all of the yaw moment, by its position and
+spin. If one exceeds the maximum, all are reduced alike, which preserves the moments; negative counts become 0. A rotor's share
+of its largest thrust is its share of the largest counts.
 Letters: E environments, R rotors.
-Source: what the firmware's power distribution answers (``tests/cross/firmware``); of more than there is
-its change 1147 (github.com/bitcraze/crazyflie-firmware) says that attitude comes before thrust.
+Source: outputs of the firmware's power distribution (``tests/cross/firmware``); attitude has priority over thrust by its
+change 1147 (github.com/bitcraze/crazyflie-firmware).
 """
 
 import torch
@@ -17,25 +17,25 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.physics.vehicle import Vehicle
 
 MOST_COUNTS = 65535.0
-"""All that a rotor can be told."""
+"""Largest command of a rotor [counts]."""
 
 SHARES = (0.5, 0.5, 1.0)
-"""Of the moments about x, y and z that each rotor is told."""
+"""Shares of the moments about x, y and z in each rotor's command."""
 
 
 def require_position(law: str) -> None:
-    """Raise ``ConfigError`` for laws that the Crazyflie's controllers do not have here."""
+    """Raise ``ConfigError`` unless the law is position control."""
     if law != "position":
-        raise ConfigError(f"law {law!r}: the Crazyflie's controllers fly to a position. Take law: position")
+        raise ConfigError(f"law {law!r}: the Crazyflie's controllers control position only. Take law: position")
 
 
 def signs_of(law: str, vehicle: Vehicle, allocation: Allocation, gravity: float) -> Tensor:
-    """Return which way each rotor turns the vehicle about x, y and z by its thrust, 1 or -1, (R, 3).
+    """Return the signs of each rotor's torque about x, y and z, 1 or -1, (R, 3).
 
     Raises:
-        ConfigError: If the vehicle is not one of four rotors in an X that all push up and turn one way.
+        ConfigError: Unless the vehicle has four rotors in an X that all push up and turn in one direction.
     """
-    refused = f"law {law!r}: the Crazyflie has four rotors in an X that are told a share of their thrust"
+    refused = f"law {law!r}: the Crazyflie has four rotors in an X that take a share of their thrust"
     instead = "Take lee_position_control"
     if kinds := vehicle.traits & {"reversible", "force"}:
         raise ConfigError(
@@ -62,6 +62,6 @@ def told(thrust: Tensor, moment: Tensor, signs: Tensor) -> Tensor:
 
 
 def torque_per_count(vehicle: Vehicle, allocation: Allocation, signs: Tensor, gravity: float) -> Tensor:
-    """Return the torque [N m] that one count of moment about each body axis is worth, (3,)."""
+    """Return the torque [N m] of one count of moment about each body axis, (3,)."""
     thrust = signs * signs.new_tensor(SHARES) * (allocation.high[0] / MOST_COUNTS).unsqueeze(-1)
     return (allocation_matrix(vehicle, gravity)[0, 3:] @ thrust).diagonal()

@@ -1,9 +1,9 @@
-"""Lee's geometric law as the Crazyflie flies it: with integrals of position and attitude error.
+"""Lee's geometric law in the Crazyflie's version, with integrals of position and attitude error.
 
 Frames: world z up, body x forward, y left, z up. Letters: E environments.
 Source: Lee, Leok, McClamroch (2010), Geometric tracking control of a quadrotor UAV on SE(3), and for the integrals Goodarzi,
-Lee, Leok (2013), Geometric nonlinear PID control of a quadrotor UAV on SE(3); as the Crazyflie has them these are of the errors
-of position and attitude alone, which its answers show (``tests/cross/firmware``).
+Lee, Leok (2013), Geometric nonlinear PID control of a quadrotor UAV on SE(3). The Crazyflie integrates only the errors of
+position and attitude, as its outputs show (``tests/cross/firmware``).
 """
 
 from dataclasses import dataclass
@@ -41,15 +41,15 @@ class IntegralGains:
 def geometric_control(
     state: BodyState, target: FlatTarget, kept: Tensor, gains: IntegralGains, *, dt: float
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return thrust [N], (E,), torque [N m], body, (E, 3), and what is kept, (E, 6).
+    """Return thrust [N], (E,), torque [N m], body, (E, 3), and the new memory, (E, 6).
 
-    ``a = K_p e_p + K_v e_v + K_i int e_p + a_d`` and ``F = m (a - g)``; the thrust is its part along the body. The torque is
+    ``a = K_p e_p + K_v e_v + K_i int e_p + a_d`` and ``F = m (a - g)``; the thrust is its component along body z. The torque is
     ``-K_R e_R - K_w e_w - K_I int e_R + w x J w``.
 
     Args:
-        target: What is to be followed; its rates are not.
-        kept: What was kept by the run before, (E, 6); zeros after a reset.
-        dt: Between runs [s].
+        target: Target without its body rates.
+        kept: Memory of the previous run, (E, 6); zeros after a reset.
+        dt: Period of the runs [s].
     """
     far, turned = kept.split(3, dim=-1)
     lee = gains.lee

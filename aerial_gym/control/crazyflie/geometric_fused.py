@@ -1,4 +1,4 @@
-"""The Crazyflie's controller of Lee for one environment in the fused kernel, the twin of ``geometric``.
+"""The Crazyflie's Lee controller in the fused kernel: the Warp version of ``geometric``.
 
 Letters: E environments, R rotors.
 """
@@ -54,7 +54,7 @@ def integral_rows(gains: "IntegralGains") -> Mapping[str, Tensor]:
 
 
 def geometric_maker(timing: Timing, layout: "Layout") -> Maker:
-    """Return what composes the controller for a number of rotors: ``FusedLaw.make_stateful_step``."""
+    """Return ``FusedLaw.make_stateful_step`` of the controller."""
     period = float(timing.loop)
 
     def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:

@@ -1,8 +1,8 @@
-"""The controller of Mellinger and Kumar as the Crazyflie flies it: with integrals, a difference of rates, and PWM counts.
+"""The controller of Mellinger and Kumar in the Crazyflie's version: with integrals, a rate difference, and PWM counts.
 
 Frames: world z up, body x forward, y left, z up. Letters: E environments.
-Source: Mellinger, Kumar (2011), Minimum snap trajectory generation and control for quadrotors, ICRA, section IV; what the
-Crazyflie adds (integrals, difference of rates), its units, gains and rate of 500 Hz are those of its documentation.
+Source: Mellinger, Kumar (2011), Minimum snap trajectory generation and control for quadrotors, ICRA, section IV; the
+Crazyflie's additions (integrals, rate difference), units, gains and rate of 500 Hz follow its documentation.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ MOST_COUNTS = 32000.0
 """Largest moment about any axis [counts]."""
 
 WIDTH = 8
-"""Remembered numbers: integrals of position (3) and attitude (3), rates of roll and pitch minus the wanted ones before (2)."""
+"""Remembered numbers: integrals of position (3) and attitude (3), previous rate errors of roll and pitch (2)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +40,7 @@ class MellingerGains:
 
 @dataclass(frozen=True, kw_only=True)
 class FlatTarget:
-    """What is to be followed."""
+    """Target of a flat trajectory: position with derivatives, yaw and body rates."""
 
     position: Tensor  # World [m], (E, 3)
     velocity: Tensor  # World [m/s], (E, 3)
@@ -59,18 +59,18 @@ def mellinger_control(
     dt: float,
     max_inclination: float | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return thrust [counts], (E, 1), moment [counts], body, (E, 3), and what is kept, (E, 8).
+    """Return thrust [counts], (E, 1), moment [counts], body, (E, 3), and the new memory, (E, 8).
 
-    ``F = K_p e_p + K_v e_v + K_i int e_p + m (g + a)``; the thrust is its part along the body. The moment is
-    ``-K_R e_R - K_w e_w`` with ``e_R = vee(Rd^T R - R^T Rd)``, twice that of the paper, plus the integral of ``-e_R`` and the
-    difference of ``e_w``. Without thrust along the body there is no moment, and the integrals begin anew.
+    ``F = K_p e_p + K_v e_v + K_i int e_p + m (g + a)``; the thrust is its component along body z. The moment
+    is ``-K_R e_R - K_w e_w`` with ``e_R = vee(Rd^T R - R^T Rd)``, twice that of the paper, plus the integral of ``-e_R`` and
+    the difference of ``e_w``. Without thrust the moment is 0 and the integrals restart.
 
     Args:
-        kept: What was kept by the run before, (E, 8); zeros after a reset.
+        kept: Memory of the previous run, (E, 8); zeros after a reset.
         gravity: Downward acceleration of free fall [m/s²].
-        dt: Between runs [s].
-        max_inclination: Largest tilt of F [rad], whose part upwards is then a tenth of the weight at least; None: as the
-            Crazyflie flies, which turns over where a target is far below.
+        dt: Period of the runs [s].
+        max_inclination: Largest tilt of F [rad], whose vertical part is then at least a tenth of the weight; None: as in
+            the Crazyflie, which turns over for a target far below.
     """
     far, turned, before = kept.split((3, 3, 2), dim=-1)
     error, drift = target.position - state.position, target.velocity - state.lin_vel

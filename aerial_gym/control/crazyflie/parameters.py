@@ -1,8 +1,8 @@
-"""Parameters of the Crazyflie's controllers as rows of tensors, what is left out derived from the vehicle.
+"""Parameters of the Crazyflie's controllers as rows of tensors, with defaults derived from the vehicle.
 
-Derived gains are those of ``control.gains``, where a controller answers in counts in these: torque at hover per attitude and
-rate error, acceleration per position and velocity error. Integrals are slower than their proportional part by a², with the a of
-that module.
+Derived gains are those of ``control.gains``: torque at hover per attitude and rate error, acceleration per position and
+velocity error. Controllers with output in counts get torques in counts. Integrals are slower than their proportional part by
+a², with the a of that module.
 Letters: E environments, R rotors.
 """
 
@@ -27,14 +27,14 @@ from aerial_gym.control.timing import Timing
 from aerial_gym.physics.vehicle import Vehicle
 
 INTEGRAL_SHARE = 0.5
-"""Of the largest moment that an integral may take if nothing else is said."""
+"""Default limit of an integral, as a share of the largest moment."""
 
 LEAST_OF_HOVER = 5.0 / 9.0
-"""Least thrust as a share of the one that hovers: 20000 of 36000 counts, as a Crazyflie has them."""
+"""Least thrust as a share of hover thrust: 20000 of 36000 counts of a Crazyflie."""
 
 
 class Derived:
-    """Gains of a declared vehicle, and rows for all environments."""
+    """Derived gains of a declared vehicle, as rows for all environments."""
 
     def __init__(
         self, cfg: ControllerCfg, control: ControlCfg, vehicle: Vehicle, allocation: Allocation, *, gravity: float,
@@ -54,17 +54,17 @@ class Derived:
         self.of_attitude = _over(base.attitude[0], base.rate[0])
         self.of_position = _over(base.position[0], base.velocity[0])
 
-    def given(self, numbers: Sequence[float] | None, derived: Tensor | Sequence[float]) -> Tensor:
-        """Return what is given, else what is derived, as a row."""
+    def explicit_or_derived(self, numbers: Sequence[float] | None, derived: Tensor | Sequence[float]) -> Tensor:
+        """Return the given numbers, or else the derived ones, as a row."""
         return self.row(derived if numbers is None else numbers)
 
     def axes(self, xy: float | None, z: float | None, derived: Tensor) -> Tensor:
-        """Return what is given about x and y, and about z, else what is derived (3,), as a row."""
+        """Return the given numbers for x and y and for z, or else the derived ones (3,), as a row."""
         return self.row([float(d) if g is None else g for g, d in zip((xy, xy, z), derived, strict=True)])
 
 
 class DerivedCounts(Derived):
-    """Gains of a declared vehicle whose controller answers in counts: torques per error are in these."""
+    """Derived gains with torques in counts."""
 
     def __init__(
         self, cfg: ControllerCfg, control: ControlCfg, vehicle: Vehicle, allocation: Allocation, signs: Tensor, *,
@@ -77,12 +77,12 @@ class DerivedCounts(Derived):
 
 
 def _over(gains: Tensor, others: Tensor) -> Tensor:
-    """Return quotients, and nothing about an axis that is left alone."""
+    """Return quotients, 0 for uncontrolled axes."""
     return torch.where(others > 0.0, gains / torch.where(others > 0.0, others, 1.0), 0.0)
 
 
 def _used(limit: Tensor, integral: Tensor) -> Tensor:
-    """Return the limits (E, 3) of integrals with gains (E, 3): nothing is gathered of which nothing comes."""
+    """Return the limits of integrals (E, 3), 0 where the integral gain is 0."""
     return torch.where(integral > 0.0, limit, torch.zeros_like(limit))
 
 
@@ -112,7 +112,7 @@ def mellinger_gains(own: MellingerCfg, derived: DerivedCounts) -> MellingerGains
 
 def pid_gains(own: CrazyfliePidCfg, derived: DerivedCounts) -> PidGains:
     """Return the gains of ``crazyflie_pid_control``, the same in all environments."""
-    given, row = derived.given, derived.row
+    given, row = derived.explicit_or_derived, derived.row
     tilting = degrees(1.0) / derived.gravity * derived.velocity
     lifting = derived.mass * derived.per_newton / THRUST_PER_OUTPUT * derived.velocity
     velocity = given(own.velocity_kp, torch.cat((tilting[:2], lifting[2:])))
@@ -139,8 +139,8 @@ def pid_gains(own: CrazyfliePidCfg, derived: DerivedCounts) -> PidGains:
 
 
 def integral_gains(own: CrazyflieLeeCfg, derived: Derived) -> IntegralGains:
-    """Return the gains of ``crazyflie_lee_control``, the same in all environments; integrals are those that are given."""
-    given, mass, base = derived.given, derived.mass if own.mass is None else own.mass, derived.base
+    """Return the gains of ``crazyflie_lee_control``, the same in all environments; integral gains only if given."""
+    given, mass, base = derived.explicit_or_derived, derived.mass if own.mass is None else own.mass, derived.base
     position, attitude = given(own.Kpos_P, derived.position), given(own.KR, derived.attitude)
     far = derived.row(own.Kpos_I)
     turned = derived.row(own.KI)
@@ -166,8 +166,8 @@ def integral_gains(own: CrazyflieLeeCfg, derived: Derived) -> IntegralGains:
 def brescianini_gains(own: BrescianiniCfg, derived: Derived) -> BrescianiniGains:
     """Return the gains of ``crazyflie_brescianini_control``, the same in all environments.
 
-    Roll and pitch have one time constant, the slower of theirs. Heading has none of its own: the share of its error that is
-    turned to makes it as slow as it must be, and an axis that is left alone has no gain on its rate.
+    Roll and pitch share the slower of their time constants. Heading has none: its share of the attitude error slows it down.
+    Uncontrolled axes have no rate gain.
     """
     axes, row, mass = derived.axes, derived.row, derived.mass
     natural = derived.position.sqrt()

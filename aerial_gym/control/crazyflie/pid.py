@@ -1,8 +1,8 @@
-"""The cascade of PID controllers that the Crazyflie flies by default: position, velocity, attitude, rates.
+"""The Crazyflie's default cascade of PID controllers: position, velocity, attitude, rates.
 
-Each has an integral. Angles are in degrees and moments in PWM counts, as its gains are. Derivatives are those of what is
-measured, not of the error, so that a step of what is wanted gives no kick.
-Frames: world z up, body x forward, y left, z up; pitch is positive with the nose down, which the Crazyflie's own angles invert.
+Each has an integral. Angles are in degrees and moments in PWM counts, as in its gains. Derivatives are taken of measurements,
+not of errors, so that a step of the setpoint gives no kick.
+Frames: world z up, body x forward, y left, z up; pitch is positive nose down, unlike the Crazyflie's own.
 Letters: E environments.
 Source: the Crazyflie's documentation, "Cascaded PID controller", and its parameters.
 Position and velocity run at 100 Hz, attitude and rates at 500 Hz.
@@ -21,19 +21,19 @@ THRUST_PER_OUTPUT = 1000.0
 """Counts per unit of the vertical velocity controller."""
 
 MOST_THRUST = 65535.0
-"""All of the motors' PWM [counts]."""
+"""Largest PWM of a motor [counts]."""
 
 MOST_MOMENT = 32767.0
-"""About any axis [counts]."""
+"""Largest moment about any axis [counts]."""
 
 LEEWAY = 1.1
-"""By which the wanted velocity may exceed the largest one."""
+"""Factor by which the velocity setpoint may exceed the velocity limit."""
 
 OUTER_NUMBERS = 6
-"""Remembered by position and velocity: an integral of each (3)."""
+"""Memory of position and velocity: an integral of each (3)."""
 
 INNER_NUMBERS = 12
-"""Remembered by attitude and rates: an integral of each (3), attitude and rates before [deg, deg/s] (3 each)."""
+"""Memory of attitude and rates: an integral of each (3), previous attitude and rates [deg, deg/s] (3 each)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,10 +43,10 @@ class PidLevel:
     proportional: Tensor  # (E, 3)
     integral: Tensor  # [1/s], (E, 3)
     derivative: Tensor  # [s], (E, 3)
-    limit: Tensor  # Of the integrated error, (E, 3); infinite where there is none
+    limit: Tensor  # Of the integrated error, (E, 3); infinite for no limit
 
     def run(self, error: Tensor, change: Tensor, integral: Tensor, dt: float) -> tuple[Tensor, Tensor]:
-        """Return the output (E, 3) for an error and what the measured value changed by, and the integrated error after it."""
+        """Return output (E, 3) and new integral (E, 3) for an error and the change of the measurement."""
         integral = torch.minimum(torch.maximum(integral + error * dt, -self.limit), self.limit)
         return self.proportional * error + self.integral * integral - self.derivative * change / dt, integral
 
@@ -61,17 +61,17 @@ class PidGains:
     rates: PidLevel  # From rates [deg/s] to moments [counts]
     most_velocity: Tensor  # [m/s], (E, 3)
     most_tilt: Tensor  # Of roll and of pitch [deg], (E, 1)
-    thrust_base: Tensor  # That hovers [counts], (E, 1)
+    thrust_base: Tensor  # Hover thrust [counts], (E, 1)
     least_thrust: Tensor  # [counts], (E, 1)
 
 
 def lean(state: BodyState, position: Tensor, kept: Tensor, gains: PidGains, *, dt: float) -> tuple[Tensor, Tensor]:
-    """Return thrust [counts], roll, pitch [deg] that position and velocity control ask for, (E, 3), and what is kept, (E, 6).
+    """Return thrust [counts], roll and pitch [deg] of position and velocity control, (E, 3), and the new memory, (E, 6).
 
     Args:
         position: Wanted, world [m], (E, 3).
-        kept: What was kept by the run before, (E, 6); zeros after a reset.
-        dt: Between runs [s].
+        kept: Memory of the previous run, (E, 6); zeros after a reset.
+        dt: Period of the runs [s].
     """
     far, drift = kept.split(3, dim=-1)
     still, heading = torch.zeros_like(position), yaw_from_quat(state.attitude)
@@ -87,12 +87,12 @@ def lean(state: BodyState, position: Tensor, kept: Tensor, gains: PidGains, *, d
 
 
 def turn(state: BodyState, wanted: Tensor, kept: Tensor, gains: PidGains, *, dt: float) -> tuple[Tensor, Tensor]:
-    """Return the moment [counts], body, (E, 3), that attitude and rate control ask for, and what is kept, (E, 12).
+    """Return the moment [counts], body, (E, 3), of attitude and rate control, and the new memory, (E, 12).
 
     Args:
         wanted: Roll, pitch and yaw [deg], (E, 3).
-        kept: What was kept by the run before, (E, 12); ``fresh`` after a reset.
-        dt: Between runs [s].
+        kept: Memory of the previous run, (E, 12); ``fresh`` after a reset.
+        dt: Period of the runs [s].
     """
     leant, spun, angles_before, rates_before = kept.split(3, dim=-1)
     angles, rates = _measured(state)
@@ -103,7 +103,7 @@ def turn(state: BodyState, wanted: Tensor, kept: Tensor, gains: PidGains, *, dt:
 
 
 def fresh(state: BodyState) -> Tensor:
-    """Return what ``turn`` keeps, (E, 12), when it begins at a state: nothing has changed yet."""
+    """Return the initial memory of ``turn`` at a state, (E, 12)."""
     zero = torch.zeros_like(state.position)
     return torch.cat((zero, zero, *_measured(state)), dim=-1)
 
@@ -114,13 +114,13 @@ def _measured(state: BodyState) -> tuple[Tensor, Tensor]:
 
 
 def _in_heading(vector: Tensor, heading: Tensor) -> Tensor:
-    """Return a vector of the world (E, 3) in the frame that is turned by the heading [rad], (E,), alone."""
+    """Rotate a world vector (E, 3) into the heading frame, by the yaw [rad], (E,)."""
     cosine, sine = torch.cos(heading), torch.sin(heading)
     x, y, z = vector.unbind(-1)
     return torch.stack((cosine * x + sine * y, cosine * y - sine * x, z), dim=-1)
 
 
 def _wrapped(angles: Tensor) -> Tensor:
-    """Return roll, pitch, yaw [deg], (E, 3), with the yaw within half a turn."""
+    """Return roll, pitch, yaw [deg], (E, 3), with the yaw wrapped to -180 to 180."""
     yaw = torch.remainder(angles[:, 2:] + 180.0, 360.0) - 180.0
     return torch.cat((angles[:, :2], yaw), dim=-1)

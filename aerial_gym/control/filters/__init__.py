@@ -1,1 +1,1 @@
-"""Digital filters of what autopilots measure."""
+"""Digital filters of autopilots."""

@@ -22,7 +22,7 @@ class Biquad:
 
 
 def butterworth(cutoff_hz: float, rate_hz: float) -> Biquad | None:
-    """Return the low-pass of a cut-off at a sampling rate; None for a cut-off of 0.
+    """Return the Butterworth low-pass of second order for a cut-off and sampling rate; None for a cut-off of 0.
 
     Source: bilinear transform of ``1 / (s² + sqrt 2 s + 1)``, e.g. Oppenheim, Schafer (2010), Discrete-Time Signal Processing,
     7.3; PX4, ``LowPassFilter2p``.
@@ -38,12 +38,12 @@ def butterworth(cutoff_hz: float, rate_hz: float) -> Biquad | None:
 
 
 def notch(frequency_hz: float, bandwidth_hz: float, rate_hz: float) -> Biquad | None:
-    """Return what passes all but a band about a frequency, of which nothing comes through; None for a frequency of 0.
+    """Return the notch filter of a frequency; None for a frequency of 0.
 
-    The band between the two frequencies at which half of the power comes through is as wide as asked, whatever the rate.
+    The width between its half-power frequencies is ``bandwidth_hz`` at any rate.
 
     Source: Regalia, Mitra, Vaidyanathan (1988), The digital all-pass filter: a versatile signal processing building block,
-    section III: half the sum of a signal and what an all-pass of second order makes of it; PX4, ``NotchFilter``.
+    section III: half the sum of a signal and its second-order all-pass; PX4, ``NotchFilter``.
     """
     if frequency_hz == 0.0:
         return None
@@ -53,12 +53,12 @@ def notch(frequency_hz: float, bandwidth_hz: float, rate_hz: float) -> Biquad | 
 
 
 def filtered(sample: Tensor, kept: Tensor, begins: Tensor, filter: Biquad) -> tuple[Tensor, Tensor]:
-    """Return the filtered sample (E, 3) and what is kept of it, (E, 6); a filter that begins is at rest at its sample.
+    """Return the filtered sample (E, 3) and the new filter state, (E, 6); a new filter starts in steady state at its sample.
 
     Args:
         sample: (E, 3).
         kept: The last two inner values, (E, 6).
-        begins: Whether there has been no sample yet, bool (E, 1).
+        begins: Whether this is the first sample, bool (E, 1).
     """
     resting = sample / (1.0 + filter.a1 + filter.a2)
     first, second = (torch.where(begins, resting, part) for part in kept.split(3, dim=-1))

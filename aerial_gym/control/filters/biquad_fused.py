@@ -1,4 +1,4 @@
-"""Filters of second order for one environment in the fused kernel, the twin of ``control.filters.biquad``."""
+"""Filters of second order in the fused kernel: the Warp version of ``control.filters.biquad``."""
 
 import warp as wp
 
@@ -8,7 +8,7 @@ from aerial_gym.physics.fused.memory import LawArrays
 
 
 def make_filter(filter: Biquad | None, first: int) -> wp.Function:
-    """Return ``biquad.filtered``, which leaves a sample as it is for None; its memory stands from number ``first`` on."""
+    """Return the Warp version of ``biquad.filtered``, the identity for None; its memory starts at number ``first``."""
 
     @wp.func
     def as_it_is(sample: wp.vec3, arrays: LawArrays, env: int, since: int) -> wp.vec3:

@@ -1,8 +1,8 @@
-"""PX4's attitude controller: from attitudes to body rates, tilt before heading. Pure functions of tensors.
+"""PX4's attitude controller: from attitudes to body rates, with priority of tilt over heading. Pure functions of tensors.
 
-Frames: world z up, body x forward, y left, z up; quaternions xyzw. PX4's frames have y and z the other way round in world and
-body alike, which changes two signs of everything: the law is the same. Letters: E environments.
-Source: Brescianini, Hehn, D'Andrea (2013), Nonlinear quadrocopter attitude control, ETH Zurich; as PX4 Autopilot 1.14 has it in
+Frames: world z up, body x forward, y left, z up; quaternions xyzw. PX4's frames have opposite y and z in world and body,
+which changes signs but not the law. Letters: E environments.
+Source: Brescianini, Hehn, D'Andrea (2013), Nonlinear quadrocopter attitude control, ETH Zurich; PX4 Autopilot 1.14,
 ``AttitudeControl``.
 """
 
@@ -16,7 +16,7 @@ from aerial_gym.math.quaternion import quat_rotate_inverse
 def wanted_rates(
     attitude: Tensor, wanted: Tensor, yaw_rate: Tensor, *, gain: Tensor, yaw_weight: Tensor, limit: Tensor
 ) -> Tensor:
-    """Return the body rates [rad/s], (E, 3), that turn to an attitude: at once to its tilt, less to its heading.
+    """Return the body-rate setpoint [rad/s], (E, 3), for an attitude, with full weight of tilt and less of heading.
 
     The rates are twice ``reduced_attitude.tilt_first_error``, times the gains, plus the yaw rate.
 
@@ -24,8 +24,8 @@ def wanted_rates(
         attitude: Body to world, (E, 4).
         wanted: Wanted attitude, (E, 4).
         yaw_rate: Rate of the wanted heading [rad/s], world, (E,).
-        gain: Rates per error [1/s], (E, 3); that of yaw holds as it stands, whatever its weight.
-        yaw_weight: Share of the heading error that is turned to, > 0 and <= 1, (E, 1).
+        gain: Rates per error [1/s], (E, 3); the yaw gain does not depend on its weight.
+        yaw_weight: Share of the heading error in the command, > 0 and <= 1, (E, 1).
         limit: Largest rates [rad/s], (E, 3).
     """
     error = tilt_first_error(attitude, wanted, yaw_weight)
@@ -35,9 +35,9 @@ def wanted_rates(
 
 
 def attitude_from_thrust(thrust: Tensor, yaw: Tensor) -> Tensor:
-    """Return the attitude (E, 4) with body z along a thrust (E, 3), world, and body x above or below the heading (E,) [rad].
+    """Return the attitude (E, 4) with body z along a thrust (E, 3), world, and body x in the vertical plane of a yaw (E,).
 
-    Body x stays in the vertical plane of the heading, where Lee's law takes the axis nearest to it. Thrusts point upwards.
+    Lee's law takes the axis nearest to the heading instead. Thrusts point upwards.
 
     Source: PX4, ``ControlMath::bodyzToAttitude``.
     """
@@ -49,9 +49,9 @@ def attitude_from_thrust(thrust: Tensor, yaw: Tensor) -> Tensor:
 
 
 def quat_from_axes(x: Tensor, y: Tensor, z: Tensor) -> Tensor:
-    """Return the quaternion (E, 4) of a body whose axes in the world are x, y, z, (E, 3) each.
+    """Return the quaternion (E, 4), body to world, of body axes x, y, z in the world, (E, 3) each.
 
-    Source: Shepperd (1978), Quaternion from rotation matrix: of four forms the one whose divisor is largest.
+    Source: Shepperd (1978), Quaternion from rotation matrix: of four forms the one with the largest divisor.
     """
     xx, yy, zz = x[:, 0], y[:, 1], z[:, 2]
     a, b, c = y[:, 2] - z[:, 1], z[:, 0] - x[:, 2], x[:, 1] - y[:, 0]

@@ -2,9 +2,8 @@
 
     action -> position and attitude control (at ``ControllerCfg.rate_hz``) -> rate control (at ``Px4Cfg.rate_hz``) -> rotors
 
-It never takes a vehicle for landed and estimates no hover thrust. What the rotors cannot give is shared out as PX4 does it if
-``Px4Cfg.MC_AIRMODE`` is given, else as ``ControllerCfg.allocation`` says; what of a torque was not given stops the integral at
-the next run, as in PX4.
+It has no landing detector and no hover-thrust estimator. Saturation is resolved by PX4's mixer if ``Px4Cfg.MC_AIRMODE`` is
+given, else by ``ControllerCfg.allocation``. As in PX4, unallocated torque stops the integral in the next run.
 Frames: world z up, body x forward, y left, z up. Letters: E environments, R rotors, M remembered numbers.
 """
 
@@ -39,7 +38,7 @@ from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import Vehicle
 
 OUTER_NUMBERS = 9
-"""Integral of velocity (3), velocity before (3), acceleration (3)."""
+"""Memory of the outer loops: integral of velocity (3), previous velocity (3), acceleration (3)."""
 
 
 class Px4Controller(RememberingController):
@@ -49,7 +48,7 @@ class Px4Controller(RememberingController):
     """None are drawn: they are PX4's parameters, one set for all."""
 
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
-        """Take the configuration, the declared vehicle, gravity [m/s²], the physics step [s] and the robot's own settings."""
+        """Derive gains and filters from configuration, declared vehicle, gravity [m/s²], physics step [s] and robot file."""
         px4: Px4Cfg = autopilot_of(cfg, control)
         _require_fit(px4, vehicle)
         self.timing = timing = timing_of(replace(cfg, px4=px4), dt)
@@ -79,7 +78,7 @@ class Px4Controller(RememberingController):
         return command, torch.cat((inner, torch.where(due, after, outer)), dim=-1), sent
 
     def _outer(self, state: BodyState, action: Tensor, kept: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the normalised thrust and body rates (E, 4) that an action asks for, and what is kept, (E, 9)."""
+        """Return normalised thrust and body-rate setpoint (E, 4) of an action, and the new memory, (E, 9)."""
         gains, still = self.gains, torch.zeros_like(action[:, 3])
         if self._law == "rates":
             return torch.cat(((action[:, :1] + 1.0) * gains.position.hover, action[:, 1:]), dim=-1), torch.zeros_like(
@@ -101,7 +100,7 @@ class Px4Controller(RememberingController):
         return torch.cat((thrust.norm(dim=-1, keepdim=True), rates), dim=-1), kept
 
     def _thrust(self, state: BodyState, velocity: Tensor, kept: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the thrust [-], world, (E, 3), for a wanted velocity [m/s], world, and what is kept, (E, 9)."""
+        """Return the thrust [-], world, (E, 3), for a velocity setpoint [m/s], world, and the new memory, (E, 9)."""
         integral, before, smooth = kept.split(3, dim=-1)
         span = self.timing.law * self.timing.dt
         measured = torch.where(begins, 0.0, (state.lin_vel - before) / span)
@@ -117,7 +116,7 @@ class Px4Controller(RememberingController):
         )
 
     def _rates(self, ang_vel: Tensor, setpoint: Tensor, kept: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
-        """Return rotor speeds [rad/s], (E, R), for a normalised thrust and body rates, (E, 4), and what is kept, (E, M)."""
+        """Return rotor speeds [rad/s], (E, R), for normalised thrust and body rates, (E, 4), and the new memory, (E, M)."""
         gains, filters, span = self.gains, self.filters, self.timing.loop * self.timing.dt
         sizes = (3, 3, 3, 6, 3, 1, *[6] * len(filters.notches))
         integral, ang_acc, before, inner, short, yaw, *notched = kept.split(sizes, dim=-1)
@@ -139,7 +138,7 @@ class Px4Controller(RememberingController):
         return self._speeds(thrust), torch.cat((integral, ang_acc, rate, inner, short, yaw, *notched), dim=-1)
 
     def _mixed(self, torque: Tensor, collective: Tensor) -> tuple[Tensor, Tensor]:
-        """Return thrusts [N], (E, R), for normalised torque and thrust, and the sign of the torque not given, (E, 3)."""
+        """Return thrusts [N], (E, R), for normalised torque and thrust, and the sign of unallocated torque, (E, 3)."""
         unit_torque, unit_thrust = self.gains.unit_torque, self.gains.unit_thrust
         if self._airmode is not None:
             inverse, full = self.allocation.inverse, self.allocation.high
@@ -154,13 +153,13 @@ class Px4Controller(RememberingController):
         return allotted.thrust, torch.where(given < 1.0, torch.sign(torque), 0.0)
 
     def _speeds(self, thrust: Tensor) -> Tensor:
-        """Return the rotor speeds [rad/s] that PX4 takes for thrusts [N], (E, R)."""
+        """Return the rotor speeds [rad/s] of thrusts [N], (E, R), by PX4's thrust curve."""
         if self._factor is None:
             return self.allocation.speed(thrust)
         return self._low + self._span * thrust_curve((thrust / self._full).clamp(0.0, 1.0), self._factor)
 
     def fused(self) -> FusedLaw:
-        """Return the twin in Warp."""
+        """Return the Warp version of the law."""
         return self._fused(
             make_stateful_step=px4_fused.maker(
                 self._law,
@@ -177,10 +176,10 @@ class Px4Controller(RememberingController):
 
 
 def _require_fit(px4: Px4Cfg, vehicle: Vehicle) -> None:
-    """Raise ``ConfigError`` for a thrust curve for rotors without one."""
+    """Raise ``ConfigError`` for a thrust curve with rotors that cannot have one."""
     if px4.THR_MDL_FAC is not None and vehicle.traits & {"reversible", "force"}:
         raise ConfigError(
-            f"Px4Cfg.THR_MDL_FAC = {px4.THR_MDL_FAC:g}: the curve is one of rotors that turn one way and are told a speed. "
+            f"Px4Cfg.THR_MDL_FAC = {px4.THR_MDL_FAC:g}: the curve needs rotors that turn in one direction and take a speed. "
             "Leave it out"
         )
 

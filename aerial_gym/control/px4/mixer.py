@@ -1,9 +1,9 @@
-"""PX4's mixer: from normalised torque and thrust to motor signals, and what gives way where motors are at their limits.
+"""PX4's mixer: from normalised torque and thrust to motor signals, with sequential desaturation.
 
-Commands give way one after the other along their columns of the mixing matrix, thrust, roll, pitch, yaw: never thrust upwards
-for roll and pitch with airmode 0, for roll and pitch with 1, for yaw as well with 2. What a column takes off a command says
-exactly how much of that command is not given.
-Frames: body is x forward, y left, z up; PX4's y and z turn two columns and their commands alike: the order is the same.
+Commands are reduced one after the other along their columns of the mixing matrix: thrust, roll, pitch, yaw. Thrust may rise
+to keep roll and pitch with airmode 1, also to keep yaw with airmode 2, and never with airmode 0. The reduction along a column
+is exactly the unallocated part of its command.
+Frames: body is x forward, y left, z up; PX4's opposite y and z flip two columns and their commands alike.
 Letters: E environments, R rotors.
 
 Source: PX4 Autopilot 1.14, ``ControlAllocationSequentialDesaturation``.
@@ -22,23 +22,23 @@ ROLL, PITCH, YAW, THRUST = range(4)
 """Columns of the mixing matrix."""
 
 WEAK = 0.2
-"""Part of a motor in a command, normalised, below which that motor is not asked to make room by it."""
+"""Normalised coefficient of a motor in a command below which the command does not desaturate that motor."""
 
 YAW_MARGIN = 0.15
-"""Share of the range of a motor beyond its upper limit up to which yaw is kept, and thrust given for it."""
+"""Excess over the upper limit, as a share of the motor's range, up to which yaw is kept and thrust reduced instead."""
 
 
 class Mixed(NamedTuple):
-    """Motor signals, and what they do not give."""
+    """Motor signals, and the signs of unallocated torque."""
 
     signal: Tensor  # Share of the full thrust, (E, R)
-    short: Tensor  # Sign of the torque about each axis that is not given, (E, 3); 0 where all is
+    short: Tensor  # Sign of the unallocated torque about each axis, (E, 3); 0 if all is allocated
 
 
 def mix(columns: Tensor, wanted: Tensor, low: Tensor, *, airmode: int) -> Mixed:
-    """Return what PX4 tells the motors.
+    """Compute the motor signals of PX4's sequential desaturation.
 
-    Where even that leaves a motor beyond a limit it is cut off, and no torque counts as given.
+    A motor that still exceeds a limit is clamped, and then no torque counts as allocated.
 
     Args:
         columns: Mixing matrix, normalised as ``parameters.unit_wrench``, (E, R, 4).
@@ -77,7 +77,7 @@ def mix(columns: Tensor, wanted: Tensor, low: Tensor, *, airmode: int) -> Mixed:
 
 
 def _room(signal: Tensor, column: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """Return how far to go along a column, (E, 1), that what is beyond the limits on either side is so no more or as little."""
+    """Return PX4's desaturation gain (E, 1): the multiple of ``column`` that removes the limit violation, or balances two."""
     beyond = torch.minimum(torch.maximum(signal, low), high) - signal
     strong = column.abs() >= WEAK
     steps = torch.where(strong, beyond / torch.where(strong, column, 1.0), 0.0)
@@ -85,10 +85,10 @@ def _room(signal: Tensor, column: Tensor, low: Tensor, high: Tensor) -> Tensor:
 
 
 def make_mixer(num_rotors: int, general: bool, airmode: int) -> wp.Function:
-    """Return ``mixer.mix``: from units of torque [N m] and thrust [N], normalised torque and thrust to thrusts [N] and signs.
+    """Return the Warp version of ``mix``, from units of torque [N m] and thrust [N] and normalised commands to thrusts [N].
 
     Args:
-        general: Whether rotors are of any kind.
+        general: Whether to support every kind of rotor.
     """
     types = rotor_types(num_rotors, general)
     command_type, vector = types.command, types.vector

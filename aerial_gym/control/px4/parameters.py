@@ -1,4 +1,4 @@
-"""PX4's parameters as rows of tensors, what is left out derived from the vehicle, and the units of its normalised commands.
+"""PX4's parameters as rows of tensors, with defaults derived from the vehicle, and the units of its normalised commands.
 
 Frames: body is x forward, y left, z up. Letters: E environments, R rotors.
 """
@@ -23,10 +23,10 @@ from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.physics.vehicle import Vehicle
 
 INTEGRAL_SHARE = 0.5
-"""Of the torque at hover that a derived limit leaves to the integral: as in ``control.cascade``."""
+"""Derived limit of the integral, as a share of the torque at hover, as in ``control.cascade``."""
 
 LEAST_SHARE = 0.5
-"""Of the hover thrust that a derived least thrust is at most."""
+"""Upper bound of a derived least thrust, as a share of hover thrust."""
 
 LEAST_THRUST = 0.12
 """PX4's default of MPC_THR_MIN."""
@@ -48,24 +48,24 @@ class Px4Gains:
     attitude: Tensor  # MC_ROLL_P and its like [1/s]
     rate_limit: Tensor  # MC_*RATE_MAX [rad/s]
     yaw_weight: Tensor  # MC_YAW_WEIGHT [-]
-    unit_torque: Tensor  # What a normalised torque of 1 stands for [N m]
-    unit_thrust: Tensor  # What a normalised thrust of 1 stands for [N]
+    unit_torque: Tensor  # Torque of a normalised 1 [N m]
+    unit_thrust: Tensor  # Thrust of a normalised 1 [N]
     position: PositionGains  # Of position and velocity
 
 
 @dataclass(frozen=True, kw_only=True)
 class Px4Filters:
-    """Filters of the cascade, at the rates at which they run."""
+    """Filters of the cascade at their own rates."""
 
     notches: tuple[Biquad, ...]  # IMU_GYRO_NF0_FRQ and IMU_GYRO_NF1_FRQ, before the low-pass
     gyro: Biquad | None  # IMU_GYRO_CUTOFF
-    ang_acc: float  # IMU_DGYRO_CUTOFF, as the share of the new value
+    ang_acc: float  # Low-pass coefficient of IMU_DGYRO_CUTOFF
     yaw_torque: float  # MC_YAW_TQ_CUTOFF, likewise
     acceleration: float  # MPC_VELD_LP, likewise
 
 
 def unit_wrench(allocation: Allocation) -> tuple[Tensor, float]:
-    """Return the torque [N m], (3,), and the thrust [N] for which the normalised 1 stands.
+    """Return the torque [N m], (3,), and the thrust [N] of a normalised 1.
 
     PX4 scales the columns of its mixing matrix, from commands to shares of each rotor's thrust: those of roll and pitch by the
     larger root mean square, twice over, those of yaw by the largest entry, that of thrust by the mean. An axis without torque
@@ -82,10 +82,10 @@ def unit_wrench(allocation: Allocation) -> tuple[Tensor, float]:
 
 
 def _require_lift(law: str, allocation: Allocation) -> None:
-    """Raise ``ConfigError`` where some rotors push down while the vehicle hovers: PX4's normalised thrust knows none."""
+    """Raise ``ConfigError`` if a rotor pushes down at hover, which PX4's normalised thrust does not allow."""
     if bool((allocation.inverse[0, :, 2] < 0.0).any()):
         raise ConfigError(
-            f"law {law!r}: PX4's normalised thrust is that of rotors that all push up, and some push down to carry this one. "
+            f"law {law!r}: PX4's normalised thrust needs rotors that all push up; some push down at this vehicle's hover. "
             "Take fully_actuated_control or a controller of the lee_ family"
         )
 
@@ -96,7 +96,7 @@ def _tilt_scale(column: Tensor) -> float:
 
 
 def thrust_curve(share: Tensor, factor: float) -> Tensor:
-    """Return the motor signal s, 0 to 1, for which PX4 believes in a share of the full thrust: ``f s² + (1 - f) s`` is that.
+    """Return the motor signal s, 0 to 1, of a share of the full thrust in PX4's model: ``f s² + (1 - f) s = share``.
 
     Source: PX4, THR_MDL_FAC, ``FunctionMotors::updateValues``.
     """
@@ -110,14 +110,14 @@ def parameters_of(
     cfg: ControllerCfg, px4: Px4Cfg, control: ControlCfg, vehicle: Vehicle, allocation: Allocation, *, gravity: float,
     timing: Timing,
 ) -> Px4Gains:  # fmt: skip
-    """Return the parameters of a declared vehicle, the same in all environments.
+    """Derive the parameters for a declared vehicle, equal in all environments.
 
-    What is left out follows from ``control.gains``: with its torque per rate error and per attitude error, its acceleration per
-    velocity and position error. Integrals are slower by a², with the a of that module: those of rates than the rate loop,
-    those of velocity than the position loop.
+    Missing ones follow from ``control.gains``: torque per rate and attitude error, acceleration per velocity and position
+    error. Integrals are slower by a², with the a of that module: of rates against the rate loop, of velocity against the
+    position loop.
 
     Raises:
-        ConfigError: If no thrust is left to hover with, or a limit leaves none.
+        ConfigError: If the limits exclude hover thrust.
     """
     base = gains_for(
         cfg, control, vehicle, allocation, gravity=gravity, dt=timing.loop * timing.dt, extra_lag=timing.extra_lag
@@ -164,7 +164,7 @@ def parameters_of(
 _AXES = ("ROLL", "PITCH", "YAW")
 
 Row = Callable[[Tensor | Sequence[float]], Tensor]
-"""From numbers to the rows of all environments."""
+"""Function from numbers to rows of all environments."""
 
 
 def _position_gains(
@@ -180,7 +180,7 @@ def _position_gains(
     if not least < hover < px4.MPC_THR_MAX:
         raise ConfigError(
             f"Px4Cfg: the hover thrust {hover:.3g} must be between MPC_THR_MIN = {least:.3g} and MPC_THR_MAX = "
-            f"{px4.MPC_THR_MAX:g}. Give others, or a robot with more thrust (aerial-gym robot check says how much it has)"
+            f"{px4.MPC_THR_MAX:g}. Change them, or take a robot with more thrust (see aerial-gym robot check)"
         )
     return PositionGains(
         position=row(reach),
@@ -200,7 +200,7 @@ def _position_gains(
 
 
 def _hover_thrust(px4: Px4Cfg, vehicle: Vehicle, allocation: Allocation, gravity: float, unit: float) -> float:
-    """Return the normalised thrust that carries the vehicle: with a thrust curve of its own, that which PX4 takes for it."""
+    """Return the normalised hover thrust, by PX4's thrust curve if it is given."""
     if px4.MPC_THR_HOVER is not None:
         return px4.MPC_THR_HOVER
     weight = float(vehicle.mass[0]) * gravity
@@ -214,10 +214,10 @@ def _hover_thrust(px4: Px4Cfg, vehicle: Vehicle, allocation: Allocation, gravity
 
 
 def filters_of(px4: Px4Cfg, timing: Timing) -> Px4Filters:
-    """Return the filters at the rates at which they run.
+    """Make the filters for their rates.
 
     Raises:
-        ConfigError: If a filter of second order is not below half of its rate.
+        ConfigError: If the frequency of a second-order filter is not below half of its rate.
     """
     span = timing.loop * timing.dt
     bands = [(getattr(px4, f"{name}_FRQ"), getattr(px4, f"{name}_BW")) for name in NOTCHES]
@@ -226,7 +226,7 @@ def filters_of(px4: Px4Cfg, timing: Timing) -> Px4Filters:
     for name, frequency in (used | {"IMU_GYRO_CUTOFF": px4.IMU_GYRO_CUTOFF}).items():
         if frequency * span >= 0.5:
             raise ConfigError(
-                f"Px4Cfg.{name} = {frequency:g}: must be below half of the {1.0 / span:g} Hz at which the rate controller "
+                f"Px4Cfg.{name} = {frequency:g}: must be below half of the {1.0 / span:g} Hz of the rate controller "
                 "runs. Leave the filter out (0), or take a smaller physics step (SimCfg.dt)"
             )
     return Px4Filters(
@@ -239,7 +239,7 @@ def filters_of(px4: Px4Cfg, timing: Timing) -> Px4Filters:
 
 
 def _given(named: list[float | None], derived: Tensor | None = None) -> Tensor:
-    """Return what is given, with what is derived in the place of None, (3,)."""
+    """Return the given numbers, with derived ones in place of None, (3,)."""
     if derived is None:
         return torch.tensor(named, dtype=torch.float64)
     return torch.stack([d if n is None else d.new_tensor(n) for n, d in zip(named, derived, strict=True)])

@@ -1,6 +1,6 @@
 """PX4's position and velocity controller: from positions to a thrust in the world. Pure functions of tensors.
 
-Frames: world z up. PX4's has y and z the other way round, which changes two signs of everything: the law is the same.
+Frames: world z up. PX4's opposite y and z change signs but not the law.
 Letters: E environments.
 Source: PX4 Autopilot 1.14, ``PositionControl`` and ``ControlMath``.
 """
@@ -27,17 +27,17 @@ class PositionGains:
     margin: Tensor  # MPC_THR_XY_MARG [-]
     tilt: Tensor  # MPC_TILTMAX_AIR [rad]
     hover: Tensor  # MPC_THR_HOVER [-]
-    gravity: Tensor  # Which the hover thrust carries [m/s²]
+    gravity: Tensor  # Gravity at hover thrust [m/s²]
 
 
 def limited_velocity(velocity: Tensor, gains: PositionGains) -> Tensor:
-    """Return a wanted velocity [m/s], world, (E, 3), within the limits of horizontal speed, climb and descent."""
+    """Limit a velocity setpoint [m/s], world, (E, 3), in horizontal speed, climb and descent."""
     rise = torch.minimum(torch.maximum(velocity[:, 2:], -gains.down), gains.up)
     return torch.cat((_within(velocity[:, :2], gains.speed), rise), dim=-1)
 
 
 def _within(vector: Tensor, most: Tensor) -> Tensor:
-    """Return a vector (E, 2), shortened to a length."""
+    """Limit a vector (E, 2) to a length."""
     length = vector.norm(dim=-1, keepdim=True)
     return torch.where(length > most, vector / torch.where(length > most, length, 1.0) * most, vector)
 
@@ -49,13 +49,13 @@ def velocity_control(
 
     Args:
         error: Velocity error [m/s], world, (E, 3).
-        integral: Before the run [m/s²], world, (E, 3).
+        integral: Integral before the run [m/s²], world, (E, 3).
         acceleration: Measured [m/s²], world, (E, 3).
-        dt: Between runs [s].
+        dt: Period of the runs [s].
 
     Returns:
-        Acceleration [m/s²], thrust [-] of which 1 is all there is, and the integral [m/s²]. It grows no further where the
-        vertical thrust is at a limit, and is taken back where horizontal thrust is.
+        Acceleration [m/s²], thrust as a share of the largest [-], and the integral [m/s²]. The integral stops at a limit of
+        vertical thrust, and is reduced at a limit of horizontal thrust.
 
     Source:
         PX4, ``PositionControl::_velocityControl``; the horizontal anti-windup is that of Rundqwist (1990), Anti-reset windup
@@ -80,8 +80,7 @@ def velocity_control(
 
 
 def thrust_of(acceleration: Tensor, gains: PositionGains) -> Tensor:
-    """Return the thrust (E, 3), world, along which the body is to stand: its direction is that of ``(a_x, a_y, g)``, its size
-    carries the vehicle whatever the tilt.
+    """Return the thrust setpoint (E, 3), world, along ``(a_x, a_y, g)``, with the vertical part that carries the vehicle.
 
     Args:
         acceleration: Wanted [m/s²], world, (E, 3).

@@ -1,7 +1,7 @@
-"""PX4's cascade for one environment in the fused kernel, the twin of ``control.px4.controller``.
+"""PX4's cascade in the fused kernel: the Warp version of ``control.px4.controller``.
 
-What is remembered stands in device memory, in the places that ``controller`` names. Filters are the same for all environments
-and stand in the code.
+Its memory is in device memory with the offsets of ``controller``. Filters are equal in all environments and are constants of
+the generated code.
 Frames: world z up, body x forward, y left, z up. Letters: E environments, R rotors.
 """
 
@@ -59,7 +59,7 @@ class Px4Rows:
 
 @wp.func
 def within(vector: wp.vec2, most: float) -> wp.vec2:
-    """Return a vector, shortened to a length."""
+    """Limit a vector to a length."""
     length = wp.length(vector)
     shortened = vector
     if length > most:
@@ -69,7 +69,7 @@ def within(vector: wp.vec2, most: float) -> wp.vec2:
 
 @wp.func
 def wanted_rates(gains: Px4Rows, attitude: wp.quat, wanted: wp.quat, yaw_rate: float) -> wp.vec3:
-    """Return ``attitude.wanted_rates`` [rad/s], body."""
+    """Return the Warp version of ``attitude.wanted_rates`` [rad/s], body."""
     error = tilt_first_error(attitude, wanted, gains.yaw_weight)
     gain = wp.vec3(gains.attitude[0], gains.attitude[1], gains.attitude[2] / gains.yaw_weight)
     rates = 2.0 * wp.cw_mul(gain, error) + yaw_rate * world_up(attitude)
@@ -78,7 +78,7 @@ def wanted_rates(gains: Px4Rows, attitude: wp.quat, wanted: wp.quat, yaw_rate: f
 
 @wp.func
 def attitude_from_thrust(thrust: wp.vec3, cosine: float, sine: float) -> wp.quat:
-    """Return ``attitude.attitude_from_thrust``, from cosine and sine of the yaw."""
+    """Return the Warp version of ``attitude.attitude_from_thrust``, from cosine and sine of the yaw."""
     b3 = wp.normalize(thrust)
     b1 = wp.normalize(wp.cross(wp.vec3(-sine, cosine, 0.0), b3))
     return wp.normalize(wp.quat_from_matrix(wp.matrix_from_cols(b1, wp.cross(b3, b1), b3)))
@@ -86,7 +86,7 @@ def attitude_from_thrust(thrust: wp.vec3, cosine: float, sine: float) -> wp.quat
 
 @wp.func
 def thrust_of(acceleration: wp.vec3, gains: Px4Rows) -> wp.vec3:
-    """Return ``position.thrust_of`` [-], world."""
+    """Return the Warp version of ``position.thrust_of`` [-], world."""
     axis = wp.normalize(wp.vec3(acceleration[0], acceleration[1], gains.gravity))
     flat = wp.sqrt(axis[0] * axis[0] + axis[1] * axis[1])
     if flat > wp.sin(gains.tilt):
@@ -97,7 +97,7 @@ def thrust_of(acceleration: wp.vec3, gains: Px4Rows) -> wp.vec3:
 
 
 def make_thrust(alpha: float, span_steps: int, first: int) -> wp.Function:
-    """Return ``controller.Px4Controller._thrust``; memory stands from ``first`` on."""
+    """Return the Warp version of ``controller.Px4Controller._thrust``; its memory starts at ``first``."""
 
     @wp.func
     def thrust_for(
@@ -138,7 +138,7 @@ def make_thrust(alpha: float, span_steps: int, first: int) -> wp.Function:
 
 
 def make_wish(law: str, filters: "Px4Filters", timing: Timing, first: int) -> wp.Function:
-    """Return ``controller.Px4Controller._outer``: the normalised thrust and the body rates [rad/s] that an action asks for."""
+    """Return the Warp version of ``controller.Px4Controller._outer``: from an action to thrust [-] and body rates [rad/s]."""
     thrust_for = make_thrust(filters.acceleration, timing.law, first)
 
     @wp.func
@@ -189,7 +189,7 @@ def make_wish(law: str, filters: "Px4Filters", timing: Timing, first: int) -> wp
 
 
 def make_gyro(filters: "Px4Filters", after: int) -> wp.Function:
-    """Return the filters of body rates; the low-pass remembers from number 9 on, the notches from ``after`` on."""
+    """Return the filters of body rates; the low-pass has its memory from number 9 on, the notches from ``after`` on."""
     notches = (*filters.notches, None, None)
     first, second = (make_filter(notches[k], after + 6 * k) for k in range(2))
     low_pass = make_filter(filters.gyro, 9)
@@ -205,7 +205,7 @@ def make_rates(
     law: FusedLaw, num_rotors: int, general: bool, filters: "Px4Filters", timing: Timing, factor: float | None,
     airmode: int | None,
 ) -> wp.Function:  # fmt: skip
-    """Return ``controller.Px4Controller._rates``."""
+    """Return the Warp version of ``controller.Px4Controller._rates``."""
     types = rotor_types(num_rotors, general)
     command_type, vector, period = types.command, types.vector, float(timing.loop)
     mixed, gyro = make_mixed(law, num_rotors, general, airmode), make_gyro(filters, RATE_NUMBERS)
@@ -249,7 +249,7 @@ def make_rates(
 
 
 def make_mixed(law: FusedLaw, num_rotors: int, general: bool, airmode: int | None) -> wp.Function:
-    """Return ``controller.Px4Controller._mixed``: from units of torque [N m] and thrust [N], normalised torque and thrust."""
+    """Return the Warp version of ``controller.Px4Controller._mixed``."""
     if airmode is not None:
         return make_mixer(num_rotors, general, airmode)
     command_type, allot = rotor_types(num_rotors, general).command, make_allot(law, num_rotors, general)
@@ -271,7 +271,7 @@ def make_mixed(law: FusedLaw, num_rotors: int, general: bool, airmode: int | Non
 
 
 def make_motors(num_rotors: int, general: bool, factor: float | None) -> wp.Function:
-    """Return ``controller.Px4Controller._speeds``."""
+    """Return the Warp version of ``controller.Px4Controller._speeds``."""
     types = rotor_types(num_rotors, general)
     command_type, vector, known = types.command, types.vector, make_speed_of(num_rotors, general)
     if factor is None:
@@ -303,12 +303,12 @@ def maker(
     factor: float | None,
     airmode: int | None,
 ) -> Callable[[FusedLaw, int, bool], wp.Function]:
-    """Return what composes the cascade for a number of rotors: ``FusedLaw.make_stateful_step``.
+    """Return ``FusedLaw.make_stateful_step`` of the cascade.
 
     Args:
-        law_name: Of ``controllers.OF_PX4``.
-        layout: Where numbers stand.
-        first: Number at which those of the law begin.
+        law_name: One of ``controllers.OF_PX4``.
+        layout: Offsets into the memory.
+        first: Offset of the law's own memory.
     """
 
     def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:

@@ -1,7 +1,6 @@
 """PX4's rate controller: pure functions of tensors. Its filters of second order are in ``control.filters``.
 
-Frames: body is x forward, y left, z up. PX4's are y right and z down, which changes two signs of everything alike: the law is
-the same. Letters: E environments.
+Frames: body is x forward, y left, z up. PX4's y right and z down change signs but not the law. Letters: E environments.
 Source: PX4 Autopilot 1.14, ``src/lib/rate_control`` and the filters of ``src/lib/mathlib``; parameters as in its reference.
 """
 
@@ -11,11 +10,11 @@ import torch
 from torch import Tensor
 
 RATE_NUMBERS = 19
-"""Which the rate controller remembers: integral (3), angular acceleration (3), body rates before (3), inner values of the
-low-pass of body rates (6), torque not given (3), yaw torque (1); six more of each notch stand behind them."""
+"""Memory of the rate controller: integral (3), angular acceleration (3), previous body rates (3), state of the low-pass of
+body rates (6), unallocated torque (3), yaw torque (1); then six numbers of each notch."""
 
 FADING_RATE = radians(400.0)
-"""Rate error at which the integral grows no more [rad/s]. Source: PX4, ``RateControl::updateIntegral``."""
+"""Rate error at which the integral stops [rad/s]. Source: PX4, ``RateControl::updateIntegral``."""
 
 
 def rate_torque(
@@ -35,15 +34,15 @@ def rate_torque(
 
 
 def grown_integral(integral: Tensor, error: Tensor, short: Tensor, gain: Tensor, limit: Tensor, dt: float) -> Tensor:
-    """Return the integral [-], (E, 3), after a run: slower the larger the error, and no further where rotors gave less.
+    """Return the integral [-], (E, 3), after a run: it slows with the error and stops for unallocated torque.
 
     Args:
-        integral: Before the run [-], (E, 3).
+        integral: Integral before the run [-], (E, 3).
         error: Rate error [rad/s], body, (E, 3).
-        short: Sign of the torque that the rotors did not give in the run before, (E, 3); 0 where they gave all.
+        short: Sign of the unallocated torque in the previous run, (E, 3); 0 if all was allocated.
         gain: I [1/rad], (E, 3).
         limit: [-], (E, 3).
-        dt: Between runs [s].
+        dt: Period of the runs [s].
     """
     useful = torch.where(short * error > 0.0, 0.0, error)
     fading = (1.0 - (useful / FADING_RATE).square()).clamp_min(0.0)
@@ -52,7 +51,7 @@ def grown_integral(integral: Tensor, error: Tensor, short: Tensor, gain: Tensor,
 
 
 def smoothing(cutoff_hz: float, dt: float) -> float:
-    """Return the share of the new value that a first-order low-pass takes in: ``dt / (dt + 1 / (2 pi f))``; 1 without one.
+    """Return the coefficient of a first-order low-pass, the share of the new value: ``dt / (dt + 1 / (2 pi f))``; 1 for f = 0.
 
     Source: PX4, ``AlphaFilter``; the backward Euler step of ``tau y' = x - y``.
     """

@@ -70,11 +70,11 @@ class Trace:
     def number(self, kind: str, args: tuple[Any, ...], dtype: torch.dtype) -> int:
         """Return the number of a scalar, a new one if there is none like it."""
         key = (kind, repr(args) if kind == "constant" else args, dtype)  # 0.0 is not -0.0
-        found = self._numbers.get(key)
-        if found is None:
-            found = self._numbers[key] = len(self.scalars)
+        known = self._numbers.get(key)
+        if known is None:
+            known = self._numbers[key] = len(self.scalars)
             self.scalars.append(Scalar(kind, args, dtype))
-        return found
+        return known
 
     def cast(self, number: int, dtype: torch.dtype) -> int:
         """Return the scalar as another type."""
@@ -131,7 +131,7 @@ class _Scalars:
         self.one, self.rows, self._marked, self._all = one, rows, marked, numbers
 
     @classmethod
-    def moved(cls, numbers: Tensor) -> "_Scalars":
+    def from_numbers(cls, numbers: Tensor) -> "_Scalars":
         """Return what an operation that moves elements has made of the numbers of all rows.
 
         Raises:
@@ -210,8 +210,8 @@ class _Watch(TorchDispatchMode):
             self._large[id(large)] = (large, f"input {position} has {shape.numel()} entries in a row")
             return large
         self.into.widths[position] = shape.numel()
-        found = [self.into.number(kind, (position, i), tensor.dtype) for i in range(shape.numel())]
-        scalars = _Scalars(np.array(found, dtype=np.int64).reshape(tuple(shape)), rows=rows)
+        numbers = [self.into.number(kind, (position, i), tensor.dtype) for i in range(shape.numel())]
+        scalars = _Scalars(np.array(numbers, dtype=np.int64).reshape(tuple(shape)), rows=rows)
         return self._note(torch.zeros(first + tuple(shape), dtype=tensor.dtype), scalars)
 
     def knows(self, tensor: Tensor) -> bool:
@@ -226,16 +226,18 @@ class _Watch(TorchDispatchMode):
         """Return the scalars, as a type, of a followed tensor, of one that is the same for all rows, or of a number."""
         known = self._scalars.get(id(value), (None, None))[1] if isinstance(value, Tensor) else None
         if known is not None:
-            found, given = known, value.dtype
+            scalars, given = known, value.dtype
         elif isinstance(value, Tensor):
-            found, given = self._constant(value.detach()), value.dtype
+            scalars, given = self._constant(value.detach()), value.dtype
         else:
             key = (repr(value), dtype)
             if key not in self._literals:
                 plain = torch.tensor(value, dtype=dtype)
                 self._literals[key] = self._constant(plain), plain.dtype
-            found, given = self._literals[key]
-        return found if dtype is None or given == dtype else found.each(lambda number: self.into.cast(number, dtype))
+            scalars, given = self._literals[key]
+        return (
+            scalars if dtype is None or given == dtype else scalars.each(lambda number: self.into.cast(number, dtype))
+        )
 
     def _constant(self, plain: Tensor) -> _Scalars:
         rows = plain.shape[:1] == (ROWS,)
@@ -245,8 +247,8 @@ class _Watch(TorchDispatchMode):
             raise UntraceableError(f"a constant of {one.numel()} entries")
         if rows and not same:
             raise UntraceableError("an operation mixes rows")
-        found = [self.into.number("constant", (entry,), plain.dtype) for entry in one.flatten().tolist()]
-        return _Scalars(np.array(found, dtype=np.int64).reshape(tuple(one.shape)), rows=rows, marked=False)
+        numbers = [self.into.number("constant", (entry,), plain.dtype) for entry in one.flatten().tolist()]
+        return _Scalars(np.array(numbers, dtype=np.int64).reshape(tuple(one.shape)), rows=rows, marked=False)
 
     def __torch_dispatch__(
         self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None
@@ -279,12 +281,12 @@ class _Watch(TorchDispatchMode):
         if not follows:
             return _mapped(result, lambda leaf: self._note(leaf, None) if isinstance(leaf, Tensor) else leaf)
         if name in INTO_ZEROS:
-            return self._note(result, _Scalars.moved(self._into_zeros(name, args, result)))
+            return self._note(result, _Scalars.from_numbers(self._into_zeros(name, args, result)))
         if name in MOVES:
             moved = self._moved(func, args, kwargs, result)
             if isinstance(result, (list, tuple)):
-                return [self._note(leaf, _Scalars.moved(own)) for leaf, own in zip(result, moved, strict=True)]
-            return self._note(result, _Scalars.moved(moved))
+                return [self._note(leaf, _Scalars.from_numbers(own)) for leaf, own in zip(result, moved, strict=True)]
+            return self._note(result, _Scalars.from_numbers(moved))
         make = self._reduced if name in REDUCTIONS else self._pointwise
         return self._note(result, make(name, args, kwargs, result))
 
@@ -336,8 +338,8 @@ class _Watch(TorchDispatchMode):
         shape = [one.shape[dim] for dim in kept]
         rows = one.transpose(kept + over).reshape(math.prod(shape), -1).tolist()
         made = [reduction.make(self.into, tuple(row), result.dtype, args, kwargs) for row in rows]
-        found = np.array(made, dtype=np.int64).reshape(shape)
-        return _Scalars(np.expand_dims(found, over) if keep else found, rows=scalars.rows)
+        reduced = np.array(made, dtype=np.int64).reshape(shape)
+        return _Scalars(np.expand_dims(reduced, over) if keep else reduced, rows=scalars.rows)
 
 
 class _Elsewhere(TorchFunctionMode):
@@ -369,10 +371,10 @@ class _Elsewhere(TorchFunctionMode):
             raise UntraceableError("it reads a tensor that is not among its arguments")
         own = tensor.stride(0) != 0 or self._num_rows == 1
         kept = tensor if own else tensor[0]
-        found = self._watch.input(self._next, kept, rows=own)
+        placeholder = self._watch.input(self._next, kept, rows=own)
         self._watch.into.lifted.append(kept)
         self._next += 1
-        return found if own else found.expand(ROWS, *found.shape)
+        return placeholder if own else placeholder.expand(ROWS, *placeholder.shape)
 
 
 @cache

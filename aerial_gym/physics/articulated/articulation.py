@@ -118,7 +118,7 @@ class Articulation:
         """Return dashpots that will have followed their joints where an episode begins, (E, N, D): not a number yet."""
         return self.creep_time.new_full((num_envs, *self.creep_time.shape), nan)
 
-    def settled(self, crept: Tensor, joint_pos: Tensor) -> Tensor:
+    def initialise_creep(self, crept: Tensor, joint_pos: Tensor) -> Tensor:
         """Return dashpots at the start of a step, (E, N, D): fresh ones stand where the joints do, (E, D)."""
         return torch.where(crept.isnan(), joint_pos.unsqueeze(1), crept)
 

@@ -81,9 +81,9 @@ class BoundedProblem:
         """Return the limits of the laws, (K, E, D)."""
         return torch.stack([law.limit.expand_as(self.state.joint_pos) for law in self.laws])
 
-    def wanted(self, position: Tensor, rate: Tensor) -> Tensor:
+    def effort_demand(self, position: Tensor, rate: Tensor) -> Tensor:
         """Return the efforts that the laws ask for at positions and rates (E, D), beyond their limits or not, (K, E, D)."""
-        return torch.stack([law.wanted(position, rate).expand_as(position) for law in self.laws])
+        return torch.stack([law.effort_demand(position, rate).expand_as(position) for law in self.laws])
 
     def side(self, wanted: Tensor) -> Tensor:
         """Return ``Drive.side`` of each law, (K, E, D)."""
@@ -103,7 +103,7 @@ class BoundedProblem:
         A row that is not solved within the rounds has its efforts held within the limits, and friction that pushes along
         the motion is left out, so no row exceeds a limit.
         """
-        wanted = self.wanted(guess.joint_pos, guess.joint_vel)
+        wanted = self.effort_demand(guess.joint_pos, guess.joint_vel)
         at = self._tangent_step(step, self.side(wanted))
         solved = self._is_solved(wanted, at)
         for _ in range(self.rounds):
@@ -130,7 +130,7 @@ class BoundedProblem:
     def _tangent_step(self, step: EffortStep, side: Tensor) -> _Point:
         """Return the end of a step in which each law is at its limit or has none, as ``side`` says."""
         end = step(self.total(self._bounded(side)))
-        wanted = self.wanted(end.joint_pos, end.joint_vel)
+        wanted = self.effort_demand(end.joint_pos, end.joint_vel)
         applied = torch.where(side == 0.0, wanted, side * self.limit)
         return _Point(rate=end.joint_vel, wanted=wanted, effort=applied.sum(0))
 
@@ -164,7 +164,7 @@ class BoundedProblem:
         is_held = (misses > TOLERANCE * limit).any(-1).any(0)[None, :, None]
         found = replace(found, effort=wanted.clamp(-limit, limit), is_held=is_held)
         after = step(self.total(found))
-        pushes = (found.effort * self.wanted(after.joint_pos, after.joint_vel) < 0.0).any(-1, keepdim=True)
+        pushes = (found.effort * self.effort_demand(after.joint_pos, after.joint_vel) < 0.0).any(-1, keepdim=True)
         effort = [
             torch.where(along, 0.0, own) if rubs else own
             for own, along, rubs in zip(found.effort, pushes, self.friction, strict=True)

@@ -101,10 +101,10 @@ def solve(tree: Tree, state: TreeState, mass: Tensor, force: Tensor) -> Accelera
     """
     first = 0 if tree.floating else 6
     root = torch.linalg.cholesky_ex(mass[:, first:, first:]).L
-    found = torch.cholesky_solve(force[:, first:].unsqueeze(-1), root).squeeze(-1)
-    found = torch.cat((found.new_zeros(len(found), first), found), dim=-1)
+    solution = torch.cholesky_solve(force[:, first:].unsqueeze(-1), root).squeeze(-1)
+    solution = torch.cat((solution.new_zeros(len(solution), first), solution), dim=-1)
     return Accelerations(
-        lin_acc=quat_rotate(state.attitude, found[:, :3]), ang_acc=found[:, 3:6], joint_acc=found[:, 6:]
+        lin_acc=quat_rotate(state.attitude, solution[:, :3]), ang_acc=solution[:, 3:6], joint_acc=solution[:, 6:]
     )
 
 
@@ -118,16 +118,16 @@ def accelerations(
     effort: Tensor | None = None,
 ) -> Accelerations:
     """Return how a tree accelerates; arguments as for ``equations``."""
-    found = equations(tree, links, state, gravity=gravity, wrench=wrench, effort=effort)
-    return solve(tree, state, found.mass, found.force)
+    system = equations(tree, links, state, gravity=gravity, wrench=wrench, effort=effort)
+    return solve(tree, state, system.mass, system.force)
 
 
 def kinetic_energy(tree: Tree, links: Links, state: TreeState) -> Tensor:
     """Return the energy of motion [J], (E,)."""
-    found = equations(tree, links, state, gravity=0.0)
+    system = equations(tree, links, state, gravity=0.0)
     lin_vel = quat_rotate_inverse(state.attitude, state.lin_vel)
     rates = torch.cat((lin_vel, state.ang_vel, state.joint_vel), dim=-1)
-    return 0.5 * torch.einsum("en,enm,em->e", rates, found.mass, rates)
+    return 0.5 * torch.einsum("en,enm,em->e", rates, system.mass, rates)
 
 
 def com_position(tree: Tree, links: Links, state: TreeState) -> Tensor:
@@ -139,8 +139,8 @@ def com_position(tree: Tree, links: Links, state: TreeState) -> Tensor:
 
 def momenta(tree: Tree, links: Links, state: TreeState) -> tuple[Tensor, Tensor]:
     """Return momentum [kg m/s] and angular momentum about the world's origin [kg m²/s], world, (E, 3) each."""
-    found = equations(tree, links, state, gravity=0.0)
-    places, motion, mass = found.places, found.motion, links.mass.unsqueeze(-1)
+    system = equations(tree, links, state, gravity=0.0)
+    places, motion, mass = system.places, system.motion, links.mass.unsqueeze(-1)
     velocity = motion.lin_vel + cross(motion.ang_vel, places.com - places.origin)
     push = mass * velocity
     spin = (places.inertia @ motion.ang_vel.unsqueeze(-1)).squeeze(-1)

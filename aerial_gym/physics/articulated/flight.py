@@ -93,7 +93,7 @@ def link_wrenches(
     """
     vehicle = model.vehicle
     thrust, more = rotor_thrust(vehicle, rotor_speed), None
-    at_hubs = model.effects.where(lambda effect: effect.at_hubs)
+    at_hubs = model.effects.select(lambda effect: effect.at_hubs)
     if any(at_hubs):
         blown = replace(model, effects=at_hubs)
         thrust, more = _at_hubs(blown, articulation, state, _wind(model, state), rotor_speed, rotor_acc)
@@ -103,7 +103,7 @@ def link_wrenches(
     each = torch.cat((force, torch.linalg.cross(hub.expand_as(force), force) - drag), dim=-1)
     on_links = each.new_zeros(len(each), articulation.tree.num_links, 6) if more is None else more
     on_links = on_links.index_add(1, torch.tensor(articulation.rotor_links, device=each.device), each)
-    whole = replace(model, effects=model.effects.where(lambda effect: not effect.at_hubs))
+    whole = replace(model, effects=model.effects.select(lambda effect: not effect.at_hubs))
     if whole.effects[WrenchEffect]:
         body = _body(state, rotor_speed)
         for _, wrench in acting_in(whole, condition_in(whole, body, rotor_acc)).wrenches:

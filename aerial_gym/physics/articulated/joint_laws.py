@@ -96,13 +96,13 @@ class Drive:
     effort: Tensor  # f, asked for as it is
     limit: Tensor  # Largest effort
 
-    def wanted(self, position: Tensor, rate: Tensor) -> Tensor:
+    def effort_demand(self, position: Tensor, rate: Tensor) -> Tensor:
         """Return the effort that is asked for, beyond the limit or not."""
         return self.stiffness * (self.position - position) + self.damping * (self.rate - rate) + self.effort
 
-    def beyond(self, position: Tensor, rate: Tensor) -> Tensor:
+    def saturation_side(self, position: Tensor, rate: Tensor) -> Tensor:
         """Return 1 or -1 where more is asked for than the drive can give, by its sign; else 0."""
-        return self.side(self.wanted(position, rate))
+        return self.side(self.effort_demand(position, rate))
 
     def side(self, wanted: Tensor) -> Tensor:
         """Return 1 or -1 where an effort is beyond the limit, by its sign; else 0."""
@@ -112,7 +112,7 @@ class Drive:
         """Return the effort; where ``at_limit`` is 1 or -1 it is the limit to that side, and falls with nothing."""
         free = at_limit == 0.0
         return Effort(
-            value=torch.where(free, self.wanted(position, rate), at_limit * self.limit),
+            value=torch.where(free, self.effort_demand(position, rate), at_limit * self.limit),
             stiffness=torch.where(free, self.stiffness, 0.0),
             damping=torch.where(free, self.damping, 0.0),
         )

@@ -27,7 +27,7 @@ class LinkDamping:
     damping: Tensor  # D [N s/m, N m s/rad], (E, L, 6)
     turned_wind: Tensor  # `w x wind` [m/s²], (E, L, 3)
 
-    def held(self, links: Links) -> Tensor:
+    def start_wrench(self, links: Links) -> Tensor:
         """Return force [N] at the origin of each link and torque [N m], (E, L, 6), as they are at the start of the step."""
         force, torque = (-self.damping * self.velocity).split(3, dim=-1)
         return torch.cat((force, torque + cross(links.com.expand_as(force), force)), dim=-1)

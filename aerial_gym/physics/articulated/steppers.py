@@ -65,10 +65,10 @@ def implicit_euler(
     @cache  # by identity: the equations of each motion serve all rounds of a solution
     def equations_at(swings: TreeState) -> Equations:
         with torch.set_grad_enabled(traces):  # the first of these rounds is without gradients
-            found = equations(tree, links, swings, gravity=gravity, wrench=wrench, effort=effort)
+            system = equations(tree, links, swings, gravity=gravity, wrench=wrench, effort=effort)
             if fluid is not None:
-                found = entrained(tree, found, state.attitude, fluid)
-            return found if damping is None else damped(tree, found, damping, dt)
+                system = entrained(tree, system, state.attitude, fluid)
+            return system if damping is None else damped(tree, system, damping, dt)
 
     def step(acts: Effort, swings: TreeState) -> TreeState:
         return _implicit(tree, state, equations_at(swings), acts, dt)
@@ -101,8 +101,8 @@ def with_drive(
     problem = BoundedProblem(laws=own, friction=rubs, acts=acts, state=state, rounds=rounds)
 
     def end_of(swings: TreeState, guess: TreeState) -> TreeState:
-        found = problem.solve(lambda effort: step(effort, swings), guess)
-        return step(problem.total(found), swings)
+        solution = problem.solve(lambda effort: step(effort, swings), guess)
+        return step(problem.total(solution), swings)
 
     first = end_of(state, state)
     return end_of(half_way(state, first), first)
@@ -117,12 +117,12 @@ def half_way(state: TreeState, end: TreeState) -> TreeState:
     )
 
 
-def _implicit(tree: Tree, state: TreeState, found: Equations, acts: Effort, dt: float) -> TreeState:
+def _implicit(tree: Tree, state: TreeState, system: Equations, acts: Effort, dt: float) -> TreeState:
     """Return the state after a step under equations without the efforts of joints, and these."""
     soft = acts.stiffness * dt
     held = torch.nn.functional.pad(acts.value - soft * state.joint_vel, (6, 0))
     stiff = torch.nn.functional.pad(dt * (acts.damping + soft), (6, 0))
-    now = solve(tree, state, found.mass + torch.diag_embed(stiff), found.force + held)
+    now = solve(tree, state, system.mass + torch.diag_embed(stiff), system.force + held)
     return moved_on(
         state,
         state.lin_vel + dt * now.lin_acc,
@@ -160,12 +160,12 @@ def rk4(
 
     def slope(at: TreeState) -> tuple[Tensor, ...]:
         acts = joint_effort(laws, at.joint_pos, at.joint_vel).value
-        found = equations(
+        system = equations(
             tree, links, at, gravity=gravity, wrench=wrench, effort=acts if effort is None else acts + effort
         )
         if fluid is not None:
-            found = entrained(tree, found, at.attitude, fluid)
-        now = solve(tree, at, found.mass, found.force)
+            system = entrained(tree, system, at.attitude, fluid)
+        now = solve(tree, at, system.mass, system.force)
         turning = 0.5 * quat_multiply(at.attitude, torch.nn.functional.pad(at.ang_vel, (0, 1)))
         return at.lin_vel, turning, now.lin_acc, now.ang_acc, at.joint_vel, now.joint_acc
 

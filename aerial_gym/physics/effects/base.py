@@ -123,7 +123,7 @@ class Effect(ABC):
     """Whether selection considers it by default; no if a combination of other effects does the same."""
 
     @property
-    def sought(self) -> bool:
+    def is_selectable(self) -> bool:
         """Whether selection can look for it in flights."""
         return self.predicts and self.medium == "air"
 
@@ -199,7 +199,7 @@ class Effect(ABC):
         del robot
         return [(parameter.low, parameter.high) for parameter in self.parameters]
 
-    def of(self, robot: RobotCfg) -> "Effect":
+    def bind_robot(self, robot: RobotCfg) -> "Effect":
         """Return the effect with the parameters of a robot file, which may be named after parts of the robot.
 
         Raises:

@@ -80,11 +80,11 @@ class EffectsByKind:
         """Return these effects and one more."""
         return EffectsByKind((*self._all, (effect, params)))
 
-    def without(self, *kinds: type[Effect]) -> "EffectsByKind":
+    def exclude(self, *kinds: type[Effect]) -> "EffectsByKind":
         """Return all effects except those of some kinds."""
         return EffectsByKind(one for one in self._all if not isinstance(one[0], kinds))
 
-    def where(self, chosen: Callable[[Effect], bool]) -> "EffectsByKind":
+    def select(self, chosen: Callable[[Effect], bool]) -> "EffectsByKind":
         """Return the effects for which ``chosen`` is true."""
         return EffectsByKind(one for one in self._all if chosen(one[0]))
 

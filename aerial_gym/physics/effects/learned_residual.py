@@ -79,7 +79,7 @@ class LearnedResidual(WrenchEffect):
         """Return the squared Mahalanobis distance q of inputs (E, 7), (E, 1): above 1 outside the training data."""
         return times((felt - self._centre) / self._scale, self._whitening.T).square().sum(-1, keepdim=True)
 
-    def of(self, felt: Tensor) -> Tensor:
+    def evaluate(self, felt: Tensor) -> Tensor:
         """Return force [N] and torque [N m], body axes, (E, 6), for inputs (E, 7)."""
         values = (torch.minimum(torch.maximum(felt, self._low), self._high) - self._centre) / self._scale
         values = network(values, self._hidden, self._output)
@@ -88,7 +88,7 @@ class LearnedResidual(WrenchEffect):
 
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
         """Return force and torque, (E, 6)."""
-        return params * self.of(felt_inputs(condition.air_velocity, condition.ang_vel, condition.rotor_speed))
+        return params * self.evaluate(felt_inputs(condition.air_velocity, condition.ang_vel, condition.rotor_speed))
 
     def warp_wrench(self, condition: type) -> wp.Function:
         """Return the same in Warp."""

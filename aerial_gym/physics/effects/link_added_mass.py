@@ -63,7 +63,7 @@ class LinkAddedMass(ByLink, LinkFluidEffect):
         ),
     )
     parameters = columns
-    what = "added mass"
+    quantity = "added mass"
     excitation = "accelerations of links along and about each axis"
     confused_with = ("payload_mass", "inertia_error", "thrust_coefficient")
     instead = ("added_mass", "added_inertia")

@@ -43,7 +43,7 @@ class LinkBuoyancy(ByLink, LinkWrenchEffect):
         ),
     )
     parameters = columns
-    what = "buoyancy"
+    quantity = "buoyancy"
     excitation = "attitudes and angles of joints that differ"
     confused_with = ("buoyancy", "payload_mass", "com_offset")
     instead = ("buoyancy",)

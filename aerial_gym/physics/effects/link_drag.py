@@ -42,7 +42,7 @@ class LinkDrag(ByLink, LinkEffect):
         for axis in "xyz"
     )
     parameters = columns
-    what = "drag"
+    quantity = "drag"
     excitation = "links that move through the air at several speeds"
     confused_with = ("rotor_drag", "quadratic_drag")
     instead = ("rotor_drag", "quadratic_drag", "hull_drag")

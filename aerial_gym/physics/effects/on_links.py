@@ -27,7 +27,7 @@ class ByLink:
     parameters: tuple[Parameter, ...]
     columns: ClassVar[tuple[Parameter, ...]]
     """Numbers of a link, in words with 'each link'; C of them."""
-    what: ClassVar[str]
+    quantity: ClassVar[str]
     """What acts at the centre of mass of a link, in a word."""
 
     def __init__(self, names: Sequence[str] | None = None, links: Sequence[str] = ()) -> None:
@@ -41,7 +41,7 @@ class ByLink:
                 for name, (link, _, own) in zip(names, parts, strict=True)
             )
 
-    def of(self, robot: RobotCfg) -> Self:
+    def bind_robot(self, robot: RobotCfg) -> Self:
         """Return the effect with the parameters that the robot file names."""
         if robot.joints is None:
             return self  # which is refused
@@ -57,8 +57,8 @@ class ByLink:
                 )
             if link in bare:
                 raise ConfigError(
-                    f"effect {self.name}.{name}: {link} has no mass, at whose centre {self.what} acts. Give the link a mass, "
-                    f"or the {self.what} to a link that it carries"
+                    f"effect {self.name}.{name}: {link} has no mass, at whose centre {self.quantity} acts. Give it a mass, "
+                    f"or the {self.quantity} to a link that it carries"
                 )
         return type(self)(names, links)
 

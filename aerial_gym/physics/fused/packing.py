@@ -36,7 +36,7 @@ class Field:
     compute: Callable[..., Tensor]
 
     @property
-    def shared(self) -> bool:
+    def is_common(self) -> bool:
         """Whether all environments have the same value."""
         return all(is_shared(source) for source in self.sources)
 
@@ -194,15 +194,15 @@ def arrange(numbers: Numbers, *, all_packed: bool) -> Packing:
         nonlocal first
         rows: dict[str, int] = {}
         for field in fields:
-            if field.name in twins and not field.shared:
+            if field.name in twins and not field.is_common:
                 rows[field.name] = rows[twins[field.name]]
-            elif all_packed or not field.shared:
+            elif all_packed or not field.is_common:
                 rows[field.name] = first
                 first += len(few.get(field.name, field.row()))
         return rows
 
     vehicle, command, gains = place(numbers.vehicle, few, twins), place(numbers.command, few_of_command, {}), None
-    if numbers.gains and (all_packed or not all(field.shared for field in numbers.gains)):
+    if numbers.gains and (all_packed or not all(field.is_common for field in numbers.gains)):
         gains = first
         first += sum(len(field.row()) for field in numbers.gains)
     few = {name: entries for name, entries in few.items() if name in vehicle}

@@ -154,7 +154,7 @@ class Trees(ABC):
             raise ShapeError(f"MuJoCo's models are of another tree, or of steps of {self.dt:g} s. Make them anew")
         if damping is not None:
             self._check_held(links, damping)
-            wrench = wrench + damping.held(links)
+            wrench = wrench + damping.start_wrench(links)
         step = partial(self._step, links, state, gravity, wrench)
         return with_drive(step, laws, drive, friction, state)
 

@@ -55,7 +55,7 @@ def shapes_on_links(
 
 def _solids_of(scene: Scene, *, moves: bool) -> Solids:
     """Return the instances of a scene, which is read again at every step."""
-    parts, part, carrier = scene.carried()
+    parts, part, carrier = scene.instance_parts()
     table = tuple(map(_solid_of, parts))
     return Solids(table=table, part=part, carrier=carrier, state=scene.asset_state, moves=moves)
 

@@ -154,7 +154,7 @@ def open_effects(
         asked: What remains.
     """
     declared, final = models
-    names = [name for name in EFFECTS if EFFECTS.get(name).sought]
+    names = [name for name in EFFECTS if EFFECTS.get(name).is_selectable]
     skipped = [name for name in names if lacks(name, train.robot, train.flights, test.flights)]
     skipped += [*selection.surrogates, *set(names).difference(selection.looked_for)]
     frozen = selection.final.fit.frozen

@@ -217,7 +217,7 @@ class Batch:
         effects = [one for one in effects if self._commanded or one[0].acts_on != "actuation"]
         scene = heights([flights[index] for index in flight], [1] * row.size)
         model = build_model(expand_rows(vehicle, row.size), effects, **scene)
-        flown = replace(model, effects=model.effects.without(DelayEffect, CommandEffect))  # they have acted
+        flown = replace(model, effects=model.effects.exclude(DelayEffect, CommandEffect))  # they have acted
         self._model = with_known_wind(flown, flights, flight)
         longest = MEMORY_STEP_S if flown.effects.remembering else STEP_S
         self._substeps = max(1, round(self._stride / (longest * self._rate)))

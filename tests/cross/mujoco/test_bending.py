@@ -79,7 +79,7 @@ def test_trees_move_as_by_implicit_euler(num_joints: int, chain: bool, floating:
     for _ in range(50):
         ours = implicit_euler(tree, links, laws, ours, DT, gravity=G, drive=drive, wrench=wrench)
         theirs = bodies.move(tree, links, laws, theirs, DT, gravity=G, drive=drive, wrench=wrench)
-        at_limit.append(drive.beyond(ours.joint_pos, ours.joint_vel) != 0.0)
+        at_limit.append(drive.saturation_side(ours.joint_pos, ours.joint_vel) != 0.0)
     assert 0.0 < torch.stack(at_limit).double().mean() < 1.0
     assert_same(ours, theirs, bound=1e-9)
 

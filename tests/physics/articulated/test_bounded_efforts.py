@@ -104,7 +104,7 @@ def test_two_drives_whose_limits_depend_on_each_other_are_solved_in_closed_form(
     residual = free + (matrix @ lawful(end.joint_vel).unsqueeze(-1)).squeeze(-1) - end.joint_vel
     assert residual.abs().max() < 1e-10
     for _ in range(30):
-        at, cycled = cycled, own(drive.effort_at(none, none, drive.beyond(none, cycled)), start).joint_vel
+        at, cycled = cycled, own(drive.effort_at(none, none, drive.saturation_side(none, cycled)), start).joint_vel
     assert not torch.allclose(at, cycled)
 
 

@@ -292,7 +292,7 @@ def let_go(dt: float, num_steps: int) -> Tensor:
     bends = model.articulation
     assert bends is not None
     state = replace(at_rest(model), joint_pos=torch.tensor([[0.4, 0.0] * 4], dtype=F64))
-    crept, off, seen = bends.settled(bends.fresh_creep(1), state.joint_pos), torch.zeros(1, 4, dtype=F64), []
+    crept, off, seen = bends.initialise_creep(bends.fresh_creep(1), state.joint_pos), torch.zeros(1, 4, dtype=F64), []
     for _ in range(num_steps):
         state = jointed_step(model, state, off, off[:, :0], dt, crept=crept)
         crept = bends.creep_on(crept, state.joint_pos, dt)

@@ -125,7 +125,7 @@ def test_an_integrator_brings_the_rest_to_the_setpoint() -> None:
 def test_more_thrust_than_there_is_has_no_rest() -> None:
     """A thrust of 0.3 of the declared lifts 0.98 of the weight at most, as that is 3.26 of it."""
     hover = loop_of(with_effects(QUAD, thrust_coefficient={"scale": 0.3})).hover(DT)
-    assert (hover.stable, hover.lost) == (False, True)
+    assert (hover.stable, hover.is_lost) == (False, True)
 
 
 def test_random_wind_and_later_failures_are_left_out_and_failures_from_the_start_are_not() -> None:
@@ -145,5 +145,5 @@ def test_slew_limited_rotors_are_flown() -> None:
         robot = replace(QUAD, rotor=replace(rotor, slew_rate=slew, slew_rate_down=slew))
         hover = loop_of(robot).hover(DT)
         assert hover.stable
-        assert hover.lost is lost
+        assert hover.is_lost is lost
         assert hover.flown is not None

@@ -60,7 +60,7 @@ class Rollouts:
         return torch.from_numpy(self._end)[:, 0]
 
     @property
-    def sensed(self) -> Tensor:
+    def sensor_values(self) -> Tensor:
         """What sensors measured at the start of a step, (E, ...)."""
         return torch.from_numpy(self._sensed)[:, 0]
 
@@ -243,4 +243,6 @@ class RolloutTrees(Trees):
         self._rollouts.start[:, 1:] = start
         self._rollouts.control.copy_(control)
         self._rollouts.step()
-        return self._rollouts.end[:, 1:], self._rollouts.sensed.unflatten(-1, (-1, 3)).sum(1) if self._touches else None
+        return self._rollouts.end[:, 1:], self._rollouts.sensor_values.unflatten(-1, (-1, 3)).sum(
+            1
+        ) if self._touches else None

@@ -224,7 +224,7 @@ def origins(
 ) -> list[tuple[str, ModelParams]]:
     """Return each candidate with the model about which it is linear: the present one for an accepted effect."""
     found = []
-    for name in (name for name in EFFECTS if EFFECTS.get(name).sought):
+    for name in (name for name in EFFECTS if EFFECTS.get(name).is_selectable):
         if name in accepted:
             found.append((name, present))
         if name in skipped and name not in accepted:

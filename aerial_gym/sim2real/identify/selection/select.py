@@ -156,7 +156,7 @@ def select_effects(
         UnknownNameError: If there is no such effect.
     """
     named = offered_effects() if candidates is None else tuple(candidates)
-    sought = [name for name in named if EFFECTS.get(name).sought]
+    sought = [name for name in named if EFFECTS.get(name).is_selectable]
     if candidates is not None and len(sought) < len(named):
         wrong = next(name for name in named if name not in sought)
         if not EFFECTS.get(wrong).on_rigid:

@@ -193,7 +193,7 @@ class Together:
             return self._hung
         state = BodyState(rotor_speed=condition.rotor_speed, **self._state(asked))
         attitude = state.attitude
-        alone = replace(model, effects=model.effects.without(LoadEffect))
+        alone = replace(model, effects=model.effects.exclude(LoadEffect))
         found = accelerations(alone, state, remembered=remembered, condition=condition, answers=self._forces)
         missed, force = None, found.specific_force
         acceleration = quat_rotate(attitude, force) - model.gravity * force.new_tensor((0.0, 0.0, 1.0))

@@ -207,7 +207,7 @@ def test_brescianini_holds_thrust_and_rates_for_its_rate_loop() -> None:
         found.append(command)
     same = [bool(torch.equal(a, b)) for a, b in pairwise(found)]
     assert same == [True, True, False, False, False]
-    assert law.resting(torch.zeros(4, dtype=F64)).tolist() == pytest.approx([X500.body.mass * 9.81, 0.0, 0.0, 0.0])
+    assert law.rest_memory(torch.zeros(4, dtype=F64)).tolist() == pytest.approx([X500.body.mass * 9.81, 0.0, 0.0, 0.0])
     assert torch.equal(found[4], found[0])
 
 
