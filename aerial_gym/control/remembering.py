@@ -91,7 +91,7 @@ class RememberingController(ABC):
         return step % timing.law == 0, step % timing.loop == 0, (step - timing.delay) // timing.law
 
     def memory_from(self, remembered: Tensor, step: int) -> LawMemory:
-        """Return the memory with numbers and setpoints (E, ...) as in ``rest_memory``, long after a reset, without late actions."""
+        """Return the memory with numbers and setpoints (E, ...) as ``rest_memory`` gives them, long after a reset."""
         numbers, sent = remembered.split((self._layout.width, self._layout.actions), dim=-1)
         actions = sent.new_zeros(len(sent), self._layout.past - self._layout.actions)
         long_ago = 1000 * self.period * max(self.timing.setpoint_slots, 1) + step

@@ -138,7 +138,7 @@ def test_rods_of_a_snake_are_a_side_of_their_square_apart(device) -> None:
 
 def test_links_without_a_pair_and_shapes_without_a_link_are_refused() -> None:
     shapes = CollisionCfg(spheres=(HULL,), capsules=(ROD_OF_ARM,), between_links=True, source="invented")
-    with pytest.raises(ConfigError, match="no two shapes can be looked at"):
+    with pytest.raises(ConfigError, match="no pair of shapes to test"):
         fly(bending(arm(DOWN, 0.0), collision=shapes), torch.device("cpu"))
     rigid = replace(bending(arm(DOWN, 0.0)), joints=None, visual=(), visible=False)
     with pytest.raises(ConfigError, match="shape 1 sits on link 'arm', but the robot has no joints"):

@@ -172,7 +172,7 @@ def test_what_cannot_be_seen_is_refused(device) -> None:
     state = torch.zeros(1, 0, 13, device=device)
     with pytest.raises(ConfigError, match=r"box outside the instances: needs a semantic_id"):
         Scene([], **nothing, asset_state=state, fixed=(ARM,))
-    with pytest.raises(ShapeError, match=r"robot_state: must be given, \(E, L, 13\)"):
+    with pytest.raises(ShapeError, match=r"robot_state: \(E, L, 13\) is needed"):
         Scene([], **nothing, asset_state=state, robot=(POD,))
     with pytest.raises(ConfigError, match=r"EnvironmentCfg.ground_color = \(2.0, 0.0, 0.0\)"):
         replace(OPEN_AIR, ground_color=(2.0, 0.0, 0.0))

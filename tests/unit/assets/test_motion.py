@@ -248,7 +248,7 @@ def test_wrong_env_actions_are_refused() -> None:
     with pytest.raises(ShapeError, match=r"env_actions has shape \(2, 40, 3\), expected \(E, A, 6\) = \(2, 40, 6\)"):
         env.step(torch.zeros(2, 4), env_actions=torch.zeros(2, 40, 3))
     still = simulate("env_with_obstacles", 2)
-    with pytest.raises(ConfigError, match=r"env_actions: nothing moves in this environment"):
+    with pytest.raises(ConfigError, match=r"env_actions: no obstacle of this environment moves"):
         still.step(torch.zeros(2, 4), env_actions=torch.zeros(2, 44, 6))
 
 

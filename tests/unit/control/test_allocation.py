@@ -185,7 +185,7 @@ def test_a_vehicle_without_weight_has_an_allocation_but_no_geometric_law() -> No
     vehicle = vehicle_from_config(ROBOTS.get("base_quadrotor"), num_envs=2)
     torch.testing.assert_close(allocation_matrix(vehicle, 0.0), allocation_matrix(vehicle, 9.81))
     make_controller(CONTROLLERS.get("no_control"), vehicle, 0.0)
-    with pytest.raises(ConfigError, match="gravity = 0.0: the law 'velocity' holds a vehicle against its weight"):
+    with pytest.raises(ConfigError, match="gravity = 0.0: the law 'velocity' needs a weight"):
         make_controller(CONTROLLERS.get("lee_velocity_control"), vehicle, 0.0, dt=0.01)
 
 

@@ -384,7 +384,7 @@ def test_rates_and_delays_that_do_not_fit_are_refused_with_the_nearest() -> None
 
 def test_what_a_controller_with_memory_cannot_do_is_said() -> None:
     vehicle = vehicle_from_config(ROBOT, num_envs=1)
-    with pytest.raises(ConfigError, match=r"built for one time step. Give dt"):
+    with pytest.raises(ConfigError, match=r"needs a time step. Give dt"):
         make_controller(PID, vehicle, 9.81)
     for backend in (TorchBackend(), WarpBackend()):
         backend.allocate(build_model(vehicle), make_controller(PID, vehicle, 9.81, dt=DT), integrator="euler")

@@ -162,7 +162,7 @@ def test_gains_about_an_axis_without_torque_are_refused() -> None:
     """Drawn headings stay as they are, and a vehicle that faced the other way was 1.3 m away after 10 s."""
     robot, law = ROBOTS.get("neural_fly_quad"), CONTROLLERS.get("lmf2_position_control")
     kind = {"gravity": 9.81, "dt": 0.01, "integrator": "euler", "names": ("neural_fly_quad", "p")}
-    with pytest.raises(ConfigError, match="the explicit gains hold yaw, about which its rotors have no torque"):
+    with pytest.raises(ConfigError, match="the explicit gains control yaw, but its rotors give no torque there"):
         check_closed_loop(robot, law, **kind)
     assert law.gains is not None
     roll, pitch, _ = law.gains.attitude

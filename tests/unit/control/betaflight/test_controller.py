@@ -298,11 +298,14 @@ def test_yaw_rests_where_routh_says(lag: float, rests: bool) -> None:
 
 
 def test_what_it_cannot_fly_is_refused_by_name() -> None:
-    for robot, words in (("omnidirectional_octarotor", "motors turn one way"), ("base_random", "motors turn one way")):
+    for robot, words in (
+        ("omnidirectional_octarotor", "motors turn in one direction"),
+        ("base_random", "motors turn in one direction"),
+    ):
         with pytest.raises(ConfigError, match=words):
             law_of(robot=ROBOTS.get(robot))
     attitude = replace(CONTROLLERS.get("lee_attitude_control"), betaflight=BetaflightCfg())
-    with pytest.raises(ConfigError, match="Betaflight's rate loop has rates alone"):
+    with pytest.raises(ConfigError, match="Betaflight's rate loop follows body rates only"):
         make_controller(attitude, vehicle_from_config(RACER, num_envs=1), 9.81, dt=DT)
     with pytest.raises(ConfigError, match=r"gyro_lpf1_static_hz = 600: must be below half of the 1000 Hz"):
         law_of(BetaflightCfg(gyro_lpf1_type="BIQUAD", gyro_lpf1_static_hz=600.0))

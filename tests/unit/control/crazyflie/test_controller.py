@@ -231,7 +231,7 @@ def test_what_does_not_fit_is_refused_by_name(name: str) -> None:
     ):
         with pytest.raises(ConfigError, match=rf"four rotors in an X .*{why}.*Take lee_position_control"):
             law_of(name, ROBOTS.get(robot))
-    with pytest.raises(ConfigError, match="law 'velocity': the Crazyflie's controllers fly to a position"):
+    with pytest.raises(ConfigError, match="law 'velocity': the Crazyflie's controllers control position only"):
         law_of(name, law="velocity")
     with pytest.raises(ConfigError, match="are 2 autopilots"):
         replace(CONTROLLERS.get(MELLINGER), crazyflie_pid=CrazyfliePidCfg())
@@ -246,7 +246,7 @@ def test_what_does_not_fit_is_refused_by_name(name: str) -> None:
 
 
 def test_what_brescianini_cannot_be_is_refused_by_name() -> None:
-    with pytest.raises(ConfigError, match="law 'velocity': the Crazyflie's controllers fly to a position"):
+    with pytest.raises(ConfigError, match="law 'velocity': the Crazyflie's controllers control position only"):
         law_of(BRESCIANINI, law="velocity")
     with pytest.raises(ConfigError, match=r"BrescianiniCfg.mixing_factor = 1.5: must be from 0 to 1"):
         BrescianiniCfg(mixing_factor=1.5)

@@ -199,9 +199,9 @@ def test_parameters_belong_to_the_robot() -> None:
 def test_what_does_not_fit_is_refused_by_name() -> None:
     cfg = CONTROLLERS.get("px4_position_control")
     for robot in ("base_octarotor", "base_random"):
-        with pytest.raises(ConfigError, match="some push down to carry this one"):
+        with pytest.raises(ConfigError, match="some push down at this vehicle's hover"):
             law_of("px4_position_control", ROBOTS.get(robot))
-    with pytest.raises(ConfigError, match="law 'pose': PX4's cascade has none"):
+    with pytest.raises(ConfigError, match="law 'pose': not in PX4's cascade"):
         make_controller(replace(cfg, law="pose"), vehicle_from_config(X500, num_envs=1), 9.81, dt=0.002)
     with pytest.raises(ConfigError, match=r"hover thrust 0.203 must be between MPC_THR_MIN = 0.3"):
         law_of("px4_position_control", px4=Px4Cfg(MPC_THR_MIN=0.3))
