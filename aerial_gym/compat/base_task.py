@@ -9,7 +9,7 @@ import torch
 
 
 class BaseTask(gymnasium.Env):
-    """What a task class of a script is derived from; it builds its simulation in its own constructor.
+    """Base of a script's task class, which builds its simulation in its own constructor.
 
     A Gymnasium environment by its class only, so that wrappers of scripts take it.
 

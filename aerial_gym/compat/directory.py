@@ -1,4 +1,4 @@
-"""Where the package is."""
+"""Folder of the package."""
 
 from pathlib import Path
 

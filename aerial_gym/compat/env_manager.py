@@ -144,7 +144,7 @@ class AssetManager:
 
 
 class Physics:
-    """What scripts call ``IGE_env``; there it is Isaac Gym."""
+    """Replacement of ``IGE_env``, Isaac Gym's environment in that simulator."""
 
     def __init__(self, env: Simulation) -> None:
         self._env = env

@@ -1,4 +1,4 @@
-"""Module paths of the Aerial Gym Simulator that scripts import, and what they give here.
+"""Module paths of the Aerial Gym Simulator that scripts import, with their replacements.
 
 One table, resolved by a finder that Python asks last: a path that is a real module of this package stays that module, and
 nothing is imported before a script asks for it. ``aerial_gym/__init__.py`` installs it: a script needs no other
@@ -193,7 +193,7 @@ class _Loader(Loader):
 
 
 class _Finder(MetaPathFinder):
-    """Knows the modules of the table, and what to say of those that are gone."""
+    """Finds the modules of the table; raises with the alternative for those without a counterpart."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Name:
-    """A name of that simulator and what it is here."""
+    """A name of that simulator with its counterpart in this package."""
 
     theirs: str  # As a script writes it
     ours: str  # What does it here, without this layer

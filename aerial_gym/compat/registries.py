@@ -24,7 +24,7 @@ from aerial_gym.task import task_registry as TASKS  # noqa: N812 (as the other r
 
 
 class _Names:
-    """What a script has registered, and what is registered here."""
+    """Entries of a script and of this package's registry."""
 
     kind: str
     ours: Registry[Any]
@@ -127,7 +127,7 @@ class EnvConfigRegistry(_Configurations):
 
 
 class BaseMultirotor:
-    """Stands for the class of every robot; how one flies is its robot file's matter."""
+    """Stand-in for the class of every robot; the robot file determines how one flies."""
 
 
 class RobotRegistry(_Configurations):

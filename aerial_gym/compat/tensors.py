@@ -163,7 +163,7 @@ KEYS: dict[str, Key] = {
 
 
 class TensorDict(MutableMapping[str, Any]):
-    """What scripts call ``global_tensor_dict``: keys of that simulator, keys of ours, and keys of the script's own."""
+    """Replacement of ``global_tensor_dict``: keys of that simulator, of this package and of the script."""
 
     def __init__(self, env: EnvManager) -> None:
         self._env = env

@@ -1,4 +1,4 @@
-"""What every configuration checks of its numbers."""
+"""Checks of numbers that all configurations share."""
 
 from collections.abc import Iterator
 from math import inf, isfinite

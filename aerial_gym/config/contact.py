@@ -1,4 +1,4 @@
-"""What happens where a robot touches ground or obstacles: a compliant, frictional contact."""
+"""Contact of a robot with ground and obstacles: compliant, with friction."""
 
 from dataclasses import dataclass
 from math import inf, isnan

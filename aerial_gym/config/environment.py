@@ -1,4 +1,4 @@
-"""What an environment file holds: bounds, and the obstacles that are placed inside them at every reset.
+"""Environment files: bounds, and obstacles placed inside them at every reset.
 
 Frames: the environment's own world frame, z up; lengths in metres, angles in radians.
 """

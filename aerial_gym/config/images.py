@@ -1,4 +1,4 @@
-"""The images that a range sensor may have: their switches in a sensor file, and the table of what each one is.
+"""Images of range sensors: their switches in a sensor file, and the table of their properties.
 
 Buffers, GTD keys, delay lines, the arrays of the kernels and the checks follow from the table; a new image is a switch and
 a row here, and the lines in ``sensors/pixels.py`` that write a pixel of it.
@@ -52,7 +52,7 @@ class LightCfg:
 
 @dataclass(frozen=True, kw_only=True)
 class ImagesCfg:
-    """Which images a sensor has beside the distance."""
+    """Images of a sensor besides the distance."""
 
     segmentation: bool = True
     """Whether it also writes the semantic id of what each pixel sees."""
@@ -86,12 +86,12 @@ class ImagesCfg:
 
 Nothing = float | Vec3
 Of = Callable[["RangeSensorCfg"], str]
-"""What an image says of itself, of the sensor that has it."""
+"""Unit, frame or meaning of an image as a function of its sensor."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Image:
-    """What one image of a sensor is; a pixel of it is a number or a vector."""
+    """Declaration of an image; its pixels are numbers or vectors."""
 
     key: str
     """In the Global Tensor Dictionary, for the first sensor."""
@@ -115,22 +115,22 @@ class Image:
     """Numbers of a pixel: 1, 2 or 3."""
 
     nothing: Nothing | Callable[["RangeSensorCfg"], Nothing] | None = None
-    """What a pixel holds that sees nothing; None if that depends on where the sensor is and how it moves."""
+    """Pixel value without a hit; None if it depends on the sensor's pose and motion."""
 
     def is_in(self, cfg: "RangeSensorCfg") -> bool:
-        """Return whether a sensor has it."""
+        """Return whether a sensor has this image."""
         return self.wanted is None or self.wanted(cfg)
 
     def unit_of(self, cfg: "RangeSensorCfg") -> str:
-        """Return its unit in a sensor."""
+        """Return the image's unit for a sensor."""
         return self.unit if isinstance(self.unit, str) else self.unit(cfg)
 
     def frame_of(self, cfg: "RangeSensorCfg") -> str:
-        """Return its frame in a sensor."""
+        """Return the image's frame for a sensor."""
         return self.frame if isinstance(self.frame, str) else self.frame(cfg)
 
     def meaning_of(self, cfg: "RangeSensorCfg") -> str:
-        """Return its line of meaning in a sensor."""
+        """Return the image's meaning for a sensor, one line."""
         return self.meaning if isinstance(self.meaning, str) else self.meaning(cfg)
 
 

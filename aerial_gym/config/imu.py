@@ -1,4 +1,4 @@
-"""What the file of an inertial measurement unit holds: where it sits and how it errs.
+"""Files of inertial measurement units: placement and errors.
 
 Frames: body is x forward, y left, z up; the IMU's own axes are the body's, turned by ``euler``. Accelerometers measure specific
 force: +9.81 m/s² on z at hover.

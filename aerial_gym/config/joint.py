@@ -1,4 +1,4 @@
-"""Where a vehicle bends: joints, what their links weigh, and what acts in them.
+"""Joints of a vehicle: their links' masses, springs, drives and end stops.
 
 A robot file describes the vehicle in its reference pose as if it were rigid: ``body`` is all of it, and hubs, centres and axes
 are in body axes. Joints say where that pose bends: every number here is of the reference pose too, in body axes, so that a
@@ -18,7 +18,7 @@ DRIVE_MODES = ("position", "velocity", "effort")
 
 @dataclass(frozen=True, kw_only=True)
 class LinkCfg:
-    """What a joint carries; the rest of the vehicle's mass is that of the base."""
+    """Mass and inertia of a joint's link; the base has the rest of the vehicle's mass."""
 
     mass: float
     """[kg], > 0."""

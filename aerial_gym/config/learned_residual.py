@@ -1,4 +1,4 @@
-"""A small network in a robot file: the force and torque that flights showed and that no named effect explains.
+"""Learned residual in a robot file: a small network for force and torque that no named effect explains.
 
 Letter: D = 7 inputs: velocity of the centre of mass through the air [m/s] and angular velocity [rad/s], body axes, and the mean
 of the squared rotor speeds [rad²/s²]. Outputs: force [N] and torque about the centre of mass [N m], body axes.

@@ -1,4 +1,4 @@
-"""From YAML files to frozen dataclasses and back. Unknown keys are refused and the nearest known one is named."""
+"""Conversion between YAML files and frozen dataclasses. Unknown keys are refused with the nearest known one."""
 
 import dataclasses
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""How obstacles move between resets.
+"""Motion of obstacles between resets.
 
 Frames: the environment's own world frame, z up; velocities in m/s, angular velocities in rad/s.
 """
@@ -18,7 +18,7 @@ AT_BOUNDS = ("pass", "bounce", "wrap")
 
 @dataclass(frozen=True, kw_only=True)
 class MotionCfg:
-    """How the instances of an asset move between resets. Every number is drawn uniformly at reset."""
+    """Motion of an asset's instances between resets. Every number is drawn uniformly at reset."""
 
     kind: str = "none"
     """``none``; ``twist``: straight on and turning, with a twist that the user may overwrite at any time;

@@ -1,4 +1,4 @@
-"""Where a sensor sits on the body, always or drawn at every reset.
+"""Placement of a sensor on the body, constant or drawn at every reset.
 
 Frames: body is x forward, y left, z up.
 """
@@ -12,7 +12,7 @@ from aerial_gym.errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True)
 class PlacementCfg:
-    """Nominal placement of a sensor, and within what a reset draws it."""
+    """Nominal placement of a sensor, and the range of its draws at reset."""
 
     position: Vec3 = (0.0, 0.0, 0.0)
     """Nominal place from the body origin [m], body axes: where rays begin, where accelerometers are."""

@@ -1,4 +1,4 @@
-"""How quantities of a robot, its effects, sensors and gains differ between episodes: ``randomize:`` of robot, environment and
+"""Randomisation of quantities of a robot, its effects, sensors and gains: ``randomize:`` of robot, environment and
 task files.
 
 ```yaml
@@ -32,7 +32,7 @@ LARGEST_NORMAL = 5.4
 
 @dataclass(frozen=True, kw_only=True)
 class RandomizeCfg:
-    """What a reset draws of one quantity, in each environment and episode anew."""
+    """Distribution of one quantity, drawn for each environment and episode."""
 
     how: str = "scale"
     """One of ``HOW``."""

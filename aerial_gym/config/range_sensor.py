@@ -1,4 +1,4 @@
-"""What every range sensor has in common, whatever its rays look like: image, limits, noise, outputs, mount and timing.
+"""Common settings of all range sensors: image, limits, noise, outputs, mount and timing.
 
 Frames: body is x forward, y left, z up. A sensor looks along its own x axis, image right is its -y, image down its -z, so
 that it looks along body x at zero Euler angles; the optical frame (z forward, x right, y down) is never needed outside.

@@ -1,4 +1,4 @@
-"""What a robot file holds: body, rotors, mounts, collision shapes, initial state, randomisation, sensors, effects.
+"""Robot files: body, rotors, mounts, collision shapes, initial state, randomisation, sensors, effects.
 
 Frames: body is x forward, y left, z up, with its origin at the point that a log or a motion capture system tracks.
 SI units throughout; rotor speeds in rad/s.
@@ -82,7 +82,7 @@ class BodyCfg:
 
 @dataclass(frozen=True, kw_only=True)
 class BatteryCfg:
-    """What the battery gives under load; only effects that depend on it need it."""
+    """Voltage and capacity of the battery; only effects that depend on it need them."""
 
     nominal_voltage: float
     """At which the rotors reach the commanded speeds [V], > 0."""

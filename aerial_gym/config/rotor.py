@@ -1,4 +1,4 @@
-"""One rotor type: what its state is, thrust and drag torque, lag and limits.
+"""One rotor type: state, thrust and drag torque, lag and limits.
 
 In speed mode the state of a rotor is its speed [rad/s], in force mode its thrust [N]; lag, slew rate and dead band are those of
 the state. A rotor whose thrust may be negative is reversible: its state has a sign, and turning backwards at a speed w it gives

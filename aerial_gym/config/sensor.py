@@ -1,4 +1,4 @@
-"""What a sensor file holds: one range sensor, of the class that its ``model`` names.
+"""Sensor files: one range sensor each, of the class that ``model`` names.
 
 The common part stands in ``range_sensor``, the models in ``camera``, ``lidar`` and ``rosette``; all are importable from here.
 """

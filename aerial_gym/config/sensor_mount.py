@@ -1,4 +1,4 @@
-"""How a sensor is mounted on a robot: which one, where, under which name and how often it is read.
+"""Mount of a sensor on a robot: sensor, pose, name and rate.
 
 Frames: body is x forward, y left, z up; a sensor looks along its own x, an IMU's axes are the body's where it is not turned.
 """

@@ -1,4 +1,4 @@
-"""What obstacles are made of: primitives, meshes, URDF files, compounds of them, and families of such shapes.
+"""Shapes of obstacles: primitives, meshes, URDF files, compounds of them, and families of such shapes.
 
 Frames: each shape's own, z up; lengths in metres, angles in radians.
 """

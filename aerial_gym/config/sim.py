@@ -10,7 +10,7 @@ STANDARD_GRAVITY = 9.81
 
 @dataclass(frozen=True, kw_only=True)
 class SimCfg:
-    """How time advances."""
+    """Time step, gravity and integrator."""
 
     summary: str
     """One line for people who choose a sim."""

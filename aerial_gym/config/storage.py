@@ -1,4 +1,4 @@
-"""Files that are whole or not there at all, and what is said of a disk that takes no more.
+"""Atomic writes of files, and the message for a full disk.
 
 An archive is a zip file of ``torch.save`` whose entries carry check sums; torch itself does not look at them.
 """

@@ -1,4 +1,4 @@
-"""What a task is made of: a simulation, commands, actions, observations, rewards, ends of episodes, a curriculum."""
+"""Task files: simulation, commands, actions, observations, rewards, ends of episodes, curriculum."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -33,7 +33,7 @@ ENDS = ("crash", "success")
 
 @dataclass(frozen=True, kw_only=True)
 class CurriculumCfg:
-    """How many obstacles stand in every environment, by the share of episodes that succeed.
+    """Number of obstacles per environment as a function of the share of successful episodes.
 
     The level is the number of obstacle rows in use, those that are always present included. After every ``check_after``
     finished episodes of all environments together it is raised, lowered or left, and holds from the next resets on.

@@ -1,4 +1,4 @@
-"""Entries of a task: what it observes, rewards and ends by, where its commands come from and what becomes of its actions.
+"""Entries of a task file: observations, rewards, ends, commands and actions.
 
 Each names a term of ``aerial_gym.task`` and gives its numbers; the term says which those are.
 """
@@ -172,7 +172,7 @@ class RewardCfg:
 
 @dataclass(frozen=True, kw_only=True)
 class EndRewardCfg:
-    """What an end is worth: ``value + difficulty_value c``, c the difficulty."""
+    """Reward of an end: ``value + difficulty_value c``, c the difficulty."""
 
     value: float
     """Finite."""
@@ -198,7 +198,7 @@ WHENS = ("now", "counts", "at_end")
 
 @dataclass(frozen=True, kw_only=True)
 class TerminationCfg:
-    """A condition by which episodes end, and what such an end is."""
+    """A condition that ends episodes, and the kind of that end."""
 
     term: str
     """Name in ``aerial_gym.task.TERMINATIONS``."""
@@ -248,7 +248,7 @@ class CommandCfg:
 
 @dataclass(frozen=True, kw_only=True)
 class ActionCfg:
-    """From what a policy gives to what the controller takes: transformed, delayed, filtered, and disturbed."""
+    """Conversion of actions to commands: transform, delay, filter and noise."""
 
     transform: str = "direct"
     """Name in ``aerial_gym.task.ACTIONS``."""

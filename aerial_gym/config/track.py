@@ -1,4 +1,4 @@
-"""A race track: gates to be flown through in order, poles to be kept away from, and what a reset draws of both.
+"""Race track: gates to be passed in order, poles to avoid, and the draws of both at reset.
 
 Frames: world of each environment, z up; a gate is flown through along its own x, its opening lies in its y and z.
 """
@@ -79,7 +79,7 @@ class LayoutCfg:
 
 @dataclass(frozen=True, kw_only=True)
 class TrackCfg:
-    """Gates and poles. What a pilot is told of them is where they are nominally: as listed, or as ``layout`` draws them.
+    """Gates and poles. A pilot knows their nominal poses: as listed, or as ``layout`` draws them.
 
     A reset adds uniform offsets to the nominal places.
     """

@@ -1,4 +1,4 @@
-"""The order of a step, and nothing else.
+"""Environment manager: the order of a step.
 
 ``act -> [control -> allocate -> rotors -> effects -> integrate -> ground -> move obstacles -> obstacles push] x K -> collide
 -> IMU -> clocks``, then, when the task has seen the result, ``reset by mask -> sense``. Obstacles that do not push move

@@ -1,4 +1,4 @@
-"""From registered names, or files, to a running simulation."""
+"""Construction of a simulation from registered names or files."""
 
 import os
 from collections.abc import Iterator

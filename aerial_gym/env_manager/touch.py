@@ -1,4 +1,4 @@
-"""What of a robot touches what: obstacles, the ground, and on request its own links.
+"""Collision tests of a robot with obstacles, the ground, and on request its own links.
 
 Letters: E environments, L links, K substeps of a step.
 """

@@ -1,4 +1,4 @@
-"""Trained policies for where there is no simulator: ONNX, TorchScript, C99, each with what goes in and what comes out."""
+"""Export of trained policies to ONNX, TorchScript and C99, each with a description of inputs and outputs."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""The rule by which an exported file is the same as the policy in torch.
+"""Tolerance rule for equality of an exported file and the policy in torch.
 
 For each output, on the same inputs:
 

@@ -1,4 +1,4 @@
-"""The part of a policy that looks at images, as C99: convolutions that halve an image, in work space of the caller's state.
+"""Image networks of a policy as C99: convolutions with stride 2, in work space of the caller's state.
 
 Letters: C x H x W an image or what a layer makes of it.
 """
@@ -41,7 +41,7 @@ static void convolve(const float *weight, const float *bias, int num_in, int row
 
 @dataclass(frozen=True, kw_only=True)
 class Looking:
-    """What looks at images, as C."""
+    """C code of image networks."""
 
     arrays: tuple[str, ...]  # Definitions of weights
     code: str  # Statements that leave the features of each image in `NAME_features`

@@ -1,4 +1,4 @@
-"""The encoder of a policy that sees latents, beside the policy: from an image to what goes into ``image_latents``.
+"""Export of the image encoder of a policy that observes ``image_latents``.
 
 Letters: B images, H x W pixels, L latents.
 """

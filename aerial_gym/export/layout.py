@@ -1,4 +1,4 @@
-"""What an exported policy takes and gives, entry by entry: the file ``policy.json`` beside it.
+"""Inputs and outputs of an exported policy, entry by entry: the file ``policy.json``.
 
 Letters: O entries of an observation, V of an action, U of a command, M numbers of memory.
 """
@@ -56,7 +56,7 @@ class SeenImage:
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """What goes in and what comes out."""
+    """Inputs and outputs of a policy."""
 
     name: str  # A name that C allows
     task: str

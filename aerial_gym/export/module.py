@@ -1,4 +1,4 @@
-"""A policy with all that stands between measurements and commands, as one torch module.
+"""A policy from measurements to commands as one torch module: scaling, normaliser, network, limits and transform.
 
 Letters: B rows, O entries of an observation, C x H x W an image, V entries of an action, U of a command, M numbers of memory.
 """

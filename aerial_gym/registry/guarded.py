@@ -1,4 +1,4 @@
-"""Tensors that notice writes: parameters in the Global Tensor Dictionary.
+"""Tensors that report writes, for parameters in the Global Tensor Dictionary.
 
 A guarded tensor shares the memory of a plain one. PyTorch's own schema of an operation says which arguments it writes, so that
 every operation counts: assignment, ``add_``, ``out=``, and those of views. A write is refused, or goes through and is reported.

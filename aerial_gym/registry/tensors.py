@@ -21,7 +21,7 @@ from aerial_gym.registry.guarded import GuardedTensor
 
 @dataclass(frozen=True, kw_only=True)
 class TensorSpec:
-    """What one key of the GTD holds."""
+    """Declaration of one GTD key."""
 
     key: str  # Name under which the tensor is found
     shape: tuple[str | int, ...]  # Letters (E environments, R rotors, A obstacles, S sensors, H x W pixels) or numbers

@@ -1,4 +1,4 @@
-"""How well a policy flies to its target: a pure function of policy and task.
+"""Evaluation of a policy: position error, settling and crashes over one episode per environment.
 
 Letters: E environments, O entries of an observation, U entries of an action.
 """

@@ -26,7 +26,7 @@ VARIABLES = ("RANK", "LOCAL_RANK", "WORLD_SIZE", "MASTER_ADDR", "MASTER_PORT")
 
 
 class Ranks:
-    """One of R processes that learn together; alone, every call leaves what it is given as it is."""
+    """One of R processes of a training; with R = 1 every call returns its argument unchanged."""
 
     def __init__(self, rank: int = 0, size: int = 1, *, joined: bool = False) -> None:
         """Take the number of this process, 0 to R - 1, R, and whether there is a group to talk to."""

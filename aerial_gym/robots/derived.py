@@ -1,4 +1,4 @@
-"""The states that follow from position, attitude and velocities, and what of them is not finite, in one launch.
+"""Secondary states of a robot (Euler angles, body-frame velocities) and the check for NaN and infinity, in one launch.
 
 Frames: world z up; body x forward, y left, z up; *vehicle* is the world turned by the yaw alone. Letters: E environments.
 """
@@ -22,7 +22,7 @@ RootRow = wp.types.vector(length=13, dtype=wp.float32)
 
 @wp.struct
 class DerivedArrays:
-    """What is written, each (E,)."""
+    """Output arrays, each (E,)."""
 
     ang_vel_world: wp.array[wp.vec3]  # [rad/s]
     lin_vel_body: wp.array[wp.vec3]  # [m/s]
@@ -115,7 +115,7 @@ def _derive(
 
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """What is looked at besides the motion, and where it is written that something is not finite."""
+    """Tensors checked besides the motion, and the flags of NaN or infinite values."""
 
     actions: Tensor  # (E, U)
     non_finite: Tensor  # Receives bits of `NonFinite`, int32 (E,)

@@ -1,4 +1,4 @@
-"""The motion of the robots, and of their joints, as tensors of a graph, through which gradients flow from step to step.
+"""Motion of robots and joints as an autograd graph, through which gradients flow from step to step.
 
 The Global Tensor Dictionary holds copies of it in float32, for sensors, rewards and whoever else reads it; gradients flow
 through the motion here, which is never overwritten. Letters: E environments, U entries of an action.
@@ -23,7 +23,7 @@ from aerial_gym.physics.torch_rows import SubstepRows
 
 
 class DifferentiableBackend:
-    """The torch backend in a float type of its own, that keeps the motion as a graph beside the tensors it is shown in."""
+    """The torch backend in a float type of its own; it keeps the motion as an autograd graph and copies it to the GTD."""
 
     def __init__(
         self, backend: PhysicsBackend, shown: BodyState, shown_actions: tuple[Tensor, Tensor], *, dtype: torch.dtype
@@ -197,7 +197,7 @@ FOLLOWING_JOINTS: dict[str, Callable[["TracedKeys"], Tensor]] = {
 
 
 class TracedKeys(Mapping[str, Tensor]):
-    """Motion, actions and what follows from them at one instant, by the keys of the GTD; the latter computed when asked for."""
+    """Motion, actions and secondary states of one instant, by GTD key; secondary states are computed on request."""
 
     def __init__(self, state: BodyState, actions: tuple[Tensor, Tensor]) -> None:
         """Take the motion, and the last action and the one before, each (E, U)."""

@@ -1,4 +1,4 @@
-"""Ranges of drawn quantities that a control law does not follow, reported before the first draw.
+"""Warnings about randomisation ranges at whose ends a controller cannot hover, before the first draw.
 
 Each quantity is put to each end of its range, the others as declared: mass, thrust, centre of mass, rotor lag, wind, dead time
 and whatever else ``randomize:`` names. All ends hover side by side in one linearised loop.

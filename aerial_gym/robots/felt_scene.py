@@ -1,4 +1,4 @@
-"""What is around a robot that its effects feel: another vehicle, and the surface below. Letters: E environments."""
+"""Surroundings that effects read: another vehicle and the surface below. Letters: E environments."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What of an environment is not finite, as bits; rows with any bit end in the step in which it is seen.
+"""Bits for quantities of an environment that are NaN or infinite; a row with any bit ends in that step.
 
 Letters: E environments.
 """

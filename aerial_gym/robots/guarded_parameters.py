@@ -1,4 +1,4 @@
-"""Which parameters of a robot in the Global Tensor Dictionary take writes, and what to write in place of the others."""
+"""Write access to robot parameters in the Global Tensor Dictionary, and the alternative to each refused one."""
 
 from collections.abc import Callable, Collection, Sequence
 

@@ -1,4 +1,4 @@
-"""Where the load of a robot is and how it moves. Frames: world, z up. Letters: E environments.
+"""Position and velocity of a robot's slung load. Frames: world, z up. Letters: E environments.
 
 With the unit vector n from the body origin to the load and its rate n', at the distance l: ``x = p + l n``, ``v = p' + l n'``.
 """

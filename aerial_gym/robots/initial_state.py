@@ -1,4 +1,4 @@
-"""The beginning of an episode, with a state drawn inside a kernel, and of a step.
+"""Start of an episode, with a state drawn inside a kernel, and start of a step.
 
 Letters: E environments, R rotors, U entries of an action.
 """
@@ -33,7 +33,7 @@ class Ranges:
 
 @wp.struct
 class StartArrays:
-    """What a new episode reads and writes."""
+    """Arrays that the start of an episode reads and writes."""
 
     random: RandomArrays
     ranges: Ranges

@@ -1,4 +1,4 @@
-"""Draws of randomised quantities inside a kernel, for the environments of a mask.
+"""Random draws of quantities inside a kernel, for the environments of a mask.
 
 Letters: E environments, K drawn numbers.
 """
@@ -77,7 +77,7 @@ class Draw:
 
 @wp.struct
 class DrawArrays:
-    """What the draws of an environment read."""
+    """Inputs of the draws of an environment."""
 
     random: RandomArrays
     draws: wp.array[Draw]  # (K,)

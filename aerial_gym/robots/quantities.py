@@ -1,4 +1,4 @@
-"""Quantities of a vehicle by name, and what follows from drawing them: plain torch on rows, one formula for every backend.
+"""Vehicle quantities that can be randomised, by name, and the effect of a draw; torch functions shared by all backends.
 
 Letters: E environments, R rotors.
 """

@@ -1,4 +1,4 @@
-"""What is drawn of a robot: named quantities, where their numbers stand, and the vehicle, parameters and gains that follow.
+"""Domain randomisation of a robot: named quantities, their columns, and the resulting vehicle, parameters and gains.
 
 Letters: E environments, R rotors, K drawn numbers, P parameters of an effect.
 """

@@ -56,7 +56,7 @@ _FIRST = ("position", "attitude", "lin_vel", "ang_vel")
 
 @wp.struct
 class SceneSurroundings:
-    """What can be touched, how it pushes, and what is told."""
+    """Obstacles, contact law and the outputs of contact."""
 
     scene: SceneArrays
     motion: SceneMotion

@@ -1,4 +1,4 @@
-"""What is around the robots of all environments. Letters: E environments."""
+"""Surroundings of the robots: ground, obstacles and contact. Letters: E environments."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ from aerial_gym.robots.joints.link_tensors import LinkTensors
 
 @dataclass(frozen=True, kw_only=True)
 class Surroundings:
-    """What is around the robots of all environments."""
+    """Ground, obstacles and contact of all environments."""
 
     bounds: tuple[Tensor, Tensor]  # Lower and upper corner of the environments [m], world, each (E, 3)
     crashes: Tensor  # Where the robot touches the ground, and with `contact` an obstacle, bool (E,); set by physics

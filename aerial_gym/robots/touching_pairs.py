@@ -1,4 +1,4 @@
-"""Where a robot overlaps obstacles: the deepest pairs of its shapes and their parts, as Warp code.
+"""Contact pairs: the deepest overlaps between a robot's shapes and obstacle parts, as Warp code.
 
 Spheres, corners of boxes and ends of capsules push as spheres do. Of boxes and capsules the deepest pair pushes as well where
 it is none of these (an edge across an edge, a pole against a face), and so do the corners of box obstacles that are in a box.
@@ -36,7 +36,7 @@ class TouchingPairs:
 
 @wp.struct
 class SceneMotion:
-    """How obstacles move."""
+    """Motion of obstacles."""
 
     lin_vel: wp.array2d[wp.vec3]  # (E, A) of the instance's origin, world [m/s]
     ang_vel: wp.array2d[wp.vec3]  # (E, A) world [rad/s]

@@ -23,7 +23,7 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True, kw_only=True)
 class TunedRobot:
-    """What a robot file is to say, and what came of it."""
+    """The derived ``control:`` of a robot file and the resulting closed loop."""
 
     control: ControlCfg  # With frequencies and damping ratios of attitude and position
     lag: float  # Of the rotors [s]

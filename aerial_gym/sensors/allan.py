@@ -1,4 +1,4 @@
-"""Allan deviation: how much averages over a time tau scatter, and what that says of noise and bias.
+"""Allan deviation of a signal: the scatter of averages over a time tau, which separates noise from bias drift.
 
 White noise of density N gives ``N / sqrt(tau)``, a bias that walks by K per sqrt(s) gives ``K sqrt(tau / 3)``.
 ``python -m benchmarks.devices.imu_allan`` compares both with the simulated IMUs.

@@ -1,4 +1,4 @@
-"""When measurements are taken, and images that appear some steps after they were.
+"""Sample times of sensors, and delay lines for images with latency.
 
 Letters: E environments.
 """

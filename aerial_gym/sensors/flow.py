@@ -1,4 +1,4 @@
-"""Optical flow: how fast the image of what each pixel sees moves over the image.
+"""Optical flow: the velocity of each pixel's visible point on the image plane [pixel/s].
 
 A material point at p in the sensor's frame moves with dp/dt = a + b x p, where the twist (a, b) is that of its instance
 relative to the sensor, worked out once per image; its image moves with J dp/dt / |p|, J being the derivative of the
@@ -29,7 +29,7 @@ LEAST_DISTANCE = wp.constant(1.0e-6)
 
 @wp.struct
 class Flow:
-    """What the kernel needs of the motion."""
+    """Inputs of the flow kernel: pixel directions and relative twists."""
 
     right: wp.array[wp.vec3]  # (N,) derivative of the column by the point, at distance 1 [pixel]
     down: wp.array[wp.vec3]  # (N,) derivative of the row

@@ -1,4 +1,4 @@
-"""The images of a sensor as tensors and as arrays of a kernel, all after the table ``config.images.IMAGES``.
+"""Images of a sensor as tensors and as kernel arrays, generated from the table ``config.images.IMAGES``.
 
 Letters: E environments, S sensors of one kind, M = E * S mounts, H x W = N pixels.
 """

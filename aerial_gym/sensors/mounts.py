@@ -1,4 +1,4 @@
-"""From the mounts of a robot file to sensors with a pose: names and files are looked up here.
+"""Sensors with their poses from the mounts of a robot file, looked up by name or file.
 
 Frames: body is x forward, y left, z up.
 """
@@ -52,7 +52,7 @@ class Pose:
 
 @dataclass(frozen=True, kw_only=True)
 class Carrier:
-    """What a sensor sits on, body or link, as it moves: tensors that are read at every measurement, strided or not."""
+    """Motion of the body or link that carries a sensor: tensors read at every measurement, strided or not."""
 
     number: int = 0  # Of the link; 0 of the body
     position: Tensor  # Origin of its frame [m], world, (E, 3)

@@ -1,4 +1,4 @@
-"""What becomes of a hit: noise, limits and normalisation of the distance, id, point, normal and face, in one go.
+"""Pixel values of a ray hit: distance with noise, limits and normalisation, id, point, normal and face.
 
 The function that writes a pixel is composed for the images that a sensor has; what it has not costs nothing.
 
@@ -26,7 +26,7 @@ MISS_FACE = wp.constant(_MISS_FACE)
 
 @dataclass(frozen=True, kw_only=True)
 class Outputs:
-    """Which images a sensor writes, and what of a pixel is worked out for them."""
+    """Images that a sensor writes, and the pixel computations that they need."""
 
     images: tuple[str, ...]  # Names in `IMAGES`
     in_world: tuple[str, ...]  # Those of them that stand in the world frame
@@ -39,7 +39,7 @@ class Outputs:
 
 @wp.struct
 class Limits:
-    """What becomes of a distance."""
+    """Range limits and scale of a distance."""
 
     min_range: wp.float32  # [m]
     max_range: wp.float32  # [m]

@@ -281,7 +281,7 @@ def _make_view(scene: Scene, mounts: int) -> View:
 
 
 class Frames:
-    """Which frame of its rays each environment sees: the next one at every image, from the first after a reset."""
+    """Index of the ray pattern of each environment; it advances with every image and restarts at a reset."""
 
     def __init__(self, num_envs: int, count: int, device: torch.device) -> None:
         """Begin before the first of ``count`` frames."""

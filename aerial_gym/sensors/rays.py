@@ -1,4 +1,4 @@
-"""Ray tables: the directions in which the pixels of a sensor look, of every model.
+"""Ray tables: the pixel directions of every sensor model.
 
 Computed in float64, given in float32. Frame: the sensor's own, x forward (optical axis), y left, z up.
 Letters: H x W pixels, row 0 on top, column 0 at the left.

@@ -1,4 +1,4 @@
-"""Motion distortion: a scanning lidar measures its columns one after the other, while robot and obstacles move.
+"""Motion distortion of a scanning lidar, which measures its columns one after the other.
 
 Columns that are measured at once are a group, and each group sees the scene from a seat of its own: where the sensor was
 then. The image is complete at the instant of capture; robot and obstacles came there with the twists that they have then: their
@@ -138,7 +138,7 @@ def look_back(
 
 
 class Scan:
-    """The seats of a turning lidar, and the launches that place them and look from them."""
+    """Sensor poses of the column groups of a scanning lidar, with the launches that compute them."""
 
     def __init__(self, cfg: ScannedCfg, scene: Scene, pose: list[wp.array], twist: list[wp.array], link: int) -> None:
         """Take what the seats depend on.

@@ -1,4 +1,4 @@
-"""The sensor manager: the range sensors of a robot, their images in the GTD, and when they are taken.
+"""Range sensors of a robot: their images in the GTD and their sample times.
 
 Letters: E environments, S sensors of one kind, H x W pixels.
 """

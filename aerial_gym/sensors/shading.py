@@ -1,4 +1,4 @@
-"""Colours: what a surface is painted with, and how much light it has from sky, sun and lamps.
+"""Shading: surface colour and texture, and light from sky, sun and lamps.
 
 Only kernels that write a colour image contain any of this.
 Frames: a sensor looks along its own x. Letters: E environments, M mounts (sensors of all environments), L lamps.
@@ -13,7 +13,7 @@ from aerial_gym.sensors.view import View, is_blocked
 
 @wp.struct
 class Light:
-    """What lights the surfaces, and how they look."""
+    """Lights, colours and textures of a scene."""
 
     sun: wp.vec3  # unit direction to the sun, world; 0 without a sun
     ambient: wp.float32  # share of the light that comes from the sky

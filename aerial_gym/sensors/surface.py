@@ -1,4 +1,4 @@
-"""Where a ray meets a part: normal, face, and the place on the surface.
+"""Hit point of a ray on a part: normal, face and surface coordinates.
 
 Frames: a sensor looks along its own x. Letters: E environments, M mounts (sensors of all environments), P parts.
 """

@@ -20,7 +20,7 @@ ABSENT = wp.constant(-1)
 
 @wp.struct
 class View:
-    """What the rays need of each instance."""
+    """Instance data in the sensor's frame, for tracing."""
 
     rows: wp.array2d[wp.vec4]  # (M, 3 P) three rows of the map from the sensor's frame: matrix and origin
     kind: wp.array2d[wp.int32]  # (M, P) kind of the shape, or ABSENT

@@ -80,7 +80,7 @@ def _task_of(level: Mapping[str, Any], base: TaskCfg, robot: RobotCfg, *, name: 
 
 
 class _Spreads:
-    """Uniform offsets by what they are of; none where the file says nothing."""
+    """Ranges of uniform offsets by quantity; zero where the file gives none."""
 
     def __init__(self, given: Mapping[str, Any]) -> None:
         known = ("drone_pos", "drone_rpy", "drone_mass", "drone_inertia", "gate_pos", "gate_rpy", "obstacle_pos")

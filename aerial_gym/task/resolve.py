@@ -1,4 +1,4 @@
-"""From the configuration of a task to its terms: names are looked up, numbers and the controller are checked."""
+"""Terms of a task from its configuration: look-up of names, check of numbers and controller."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""Actions that are shares of what the rotors of a robot can be told: one policy fits many vehicles.
+"""Actions as shares of a robot's rotor command range, so that one policy fits many vehicles.
 
 Letters: R rotors.
 """

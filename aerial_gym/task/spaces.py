@@ -1,4 +1,4 @@
-"""What a task takes and gives, in the words of Gymnasium, which is imported when it is asked for."""
+"""Gymnasium spaces of a task's actions and observations; Gymnasium is imported on demand."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING

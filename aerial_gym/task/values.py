@@ -1,4 +1,4 @@
-"""What the terms of a task read: keys of the GTD and the task's own buffers, by name.
+"""Inputs of a task's terms by name: GTD keys and the task's own buffers.
 
 Letters: E environments, U entries of a command, V entries of an action.
 """

@@ -44,7 +44,7 @@ def names_of(asked: tuple[str, ...]) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class Other:
-    """What was measured of another renderer."""
+    """Measurement of another renderer."""
 
     name: str
     seconds: list[float]

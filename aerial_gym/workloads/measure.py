@@ -20,7 +20,7 @@ WARM_UP_CALLS = 3
 
 
 class WorkloadError(AerialGymError):
-    """What was to be timed did not do its work: no figure is reported."""
+    """A timed workload failed its check, so that no figure is reported."""
 
 
 class Workload(Protocol):

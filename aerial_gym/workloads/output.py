@@ -1,4 +1,4 @@
-"""What stands beside every figure, and how figures are printed."""
+"""Provenance of figures, and their printing."""
 
 import os
 import platform

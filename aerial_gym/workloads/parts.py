@@ -1,4 +1,4 @@
-"""What a task step is made of, each part timed alone."""
+"""Times of the parts of a task step."""
 
 import statistics
 import time

@@ -1,4 +1,4 @@
-"""A measurement in a process of its own: the one runner of all that is measured beside ours, and of ours beside it."""
+"""Runner of a measurement in its own process, for this package and its peers alike."""
 
 import os
 import subprocess

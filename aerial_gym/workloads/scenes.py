@@ -19,7 +19,7 @@ from aerial_gym.math.quaternion import quat_from_euler
 
 @dataclass(frozen=True, kw_only=True)
 class RenderScene:
-    """What a camera in every environment sees."""
+    """Scene of a camera in every environment."""
 
     shapes: tuple[ShapeCfg, ...]
     """One for each instance."""

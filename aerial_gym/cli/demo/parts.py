@@ -1,4 +1,4 @@
-"""What the demo does: look, learn, and close the loop. Each part returns what its section of the page shows."""
+"""Parts of the demo: cameras, training and closed loop. Each returns the content of its section of the page."""
 
 import subprocess
 import sys
@@ -89,7 +89,7 @@ def _fly(policy: Any, task: Any) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Flights:
-    """Logs for the loop, and what to say of them."""
+    """Flight logs for the loop, with their description."""
 
     robot: str
     """Registered robot or robot file."""

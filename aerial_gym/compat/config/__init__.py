@@ -1,1 +1,1 @@
-"""Configuration classes as users of the Aerial Gym Simulator write them, and what becomes of them here."""
+"""Translation of configuration classes of the Aerial Gym Simulator."""

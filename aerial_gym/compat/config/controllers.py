@@ -17,7 +17,7 @@ Ends = tuple[Vec3, Vec3]
 
 @dataclass(frozen=True, kw_only=True)
 class GainRanges:
-    """What a class of gains says."""
+    """Gain ranges of a configuration class."""
 
     position: Ends  # [1/s²]
     velocity: Ends  # [1/s]

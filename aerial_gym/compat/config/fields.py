@@ -1,4 +1,4 @@
-"""Configuration classes of the Aerial Gym Simulator to the frozen configurations of this package.
+"""Translation of Aerial Gym Simulator configuration classes to the frozen configurations of this package.
 
 There a configuration is a class with attributes, in nested classes, that a user derives and changes. Here each such attribute
 is a ``Field`` of a table that says what it becomes; classes are made from our configurations by the table and are read back by
@@ -31,7 +31,7 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class Field:
-    """One attribute of a configuration class and what becomes of it."""
+    """One attribute of a configuration class and its translation."""
 
     theirs: str
     """Dotted path in the class."""

@@ -1,4 +1,4 @@
-"""Sims: ``class sim`` with time step and gravity; what configures PhysX or the viewer has no meaning here."""
+"""Sims: ``class sim`` with time step and gravity; settings of PhysX and the viewer are ignored."""
 
 from aerial_gym.compat.config.fields import Changes, Table, Values, carried, idle, refused
 from aerial_gym.config.sim import SimCfg

@@ -1,4 +1,4 @@
-"""What parameters of real autopilots have in common."""
+"""Base class of the parameters of real autopilots."""
 
 from dataclasses import fields
 from math import inf

@@ -1,4 +1,4 @@
-"""Training of encoders: a fixed set of images of registered environments, an autoencoder, and its rivals.
+"""Training of encoders: a fixed image set of registered environments, an autoencoder, and baselines.
 
 ``scenes`` renders, ``fit`` learns, ``figures`` measures, ``picture`` draws, ``training`` makes a folder of it all.
 """

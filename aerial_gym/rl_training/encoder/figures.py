@@ -1,4 +1,4 @@
-"""How well images are told from 64 numbers: by the encoder, by principal components, and by the mean image alone.
+"""Reconstruction errors of images from a few numbers: encoder, principal components, and the mean image alone.
 
 Letters: N images, H x W pixels, P = H W, L latents.
 """
@@ -27,7 +27,7 @@ AT_ONCE = 1024
 """Images that are encoded at once."""
 
 Telling = Callable[[Tensor], Tensor]
-"""From images (N, H, W) to what is told of them, (N, H, W)."""
+"""Function from images (N, H, W) to their reconstruction, (N, H, W)."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Learning an autoencoder, epoch by epoch: order and noise follow from seed and epoch, so that what goes on is the same.
+"""Epochs of autoencoder training; order and noise depend on seed and epoch alone, so that a resumed training is identical.
 
 Letters: N images, H x W pixels.
 """

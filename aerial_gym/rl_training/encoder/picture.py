@@ -1,4 +1,4 @@
-"""A picture of images that no training has seen, and of what is told of them."""
+"""Picture of test images and their reconstructions."""
 
 from collections.abc import Mapping
 from pathlib import Path

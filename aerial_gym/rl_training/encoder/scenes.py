@@ -33,7 +33,7 @@ POSES = InitialStateCfg(
 """Anywhere in the bounds, any heading, tilted by up to 20 degrees; the environment keeps its clearance about it."""
 
 Told = Callable[[str, float], None]
-"""Takes what is being done and the share of it that is done."""
+"""Receives a description of the work and the share that is done."""
 
 
 @dataclass(frozen=True, kw_only=True)

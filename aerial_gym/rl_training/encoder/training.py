@@ -57,7 +57,7 @@ ENCODER, MEAN = "encoder", "mean_image"
 
 @dataclass(frozen=True, kw_only=True)
 class EncoderResult:
-    """What a session did, and how well the encoder tells images of other scenes."""
+    """Result of a training session, with reconstruction errors on test images."""
 
     encoder: str | None
     """The file; None if it was interrupted before the end."""

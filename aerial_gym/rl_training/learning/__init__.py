@@ -1,1 +1,1 @@
-"""Learners of our own: proximal policy optimisation, its optimiser, and the graph that holds both with the simulation."""
+"""Learners of this package: proximal policy optimisation and others, their optimiser, and the CUDA graph of an iteration."""

@@ -1,4 +1,4 @@
-"""Adam on one tensor that holds all weights, with its rate and its steps on the device: a handful of launches.
+"""Adam on one tensor of all weights, with rate and step count on the device, in few launches.
 
 Letters: P weights.
 """
@@ -17,7 +17,7 @@ PIECE = 4096
 
 
 class FlatAdam:
-    """Moves the weights of a network by their gradients, whose norm it limits."""
+    """Adam with a limit on the gradient norm."""
 
     def __init__(self, network: nn.Module, *, max_norm: float, betas: tuple[float, float] = BETAS) -> None:
         """Put all weights of ``network`` side by side into one tensor, of which they are views from now on."""

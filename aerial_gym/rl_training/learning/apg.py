@@ -37,7 +37,7 @@ BETAS = (0.7, 0.95)
 
 @dataclass(frozen=True, kw_only=True)
 class Window:
-    """What was flown, in time, (T, E, ...); rewards, last observations and means with their gradients."""
+    """Samples of a window, (T, E, ...); rewards, last observations and means keep their gradients."""
 
     observation: Mapping[str, Tensor]
     """By key, before each step, without gradients."""
@@ -88,7 +88,7 @@ def window_return(reward: Tensor, value: Tensor, terminated: Tensor, ended: Tens
 
 
 class Apg(Learner):
-    """A learner: policy and critic, the slow critic, their optimisers, and where the simulation stands."""
+    """Short-horizon actor-critic: policy, critic, target critic, optimisers, and the simulation's current observation."""
 
     GAUGES = ("learning_rate", "std", "gradient_norm", "policy_loss", "value_loss")
     """The gradient is that of the policy, before it is limited; the loss of values is the mean over the last epoch."""

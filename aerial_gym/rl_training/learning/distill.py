@@ -1,4 +1,4 @@
-"""Distillation: a student learns to do what a teacher would have done where the student flies.
+"""Distillation: a student learns the teacher's actions at states that the student visits.
 
 The teacher may see what only a simulation knows; the student sees what it will have. Rows are flown by the teacher at first, by
 the student in the end; the teacher is asked everywhere. The student's deviation learns how far it is from its teacher, so that
@@ -28,7 +28,7 @@ from aerial_gym.task import Task
 
 
 class Distill(Learner):
-    """A student, its optimiser, and where the simulation stands."""
+    """A student, its optimiser, and the simulation's current observation."""
 
     GAUGES = ("learning_rate", "std", "difference", "flown_by_teacher")
     """The difference is the root of the mean square of an action's entry; the last is a share of the rows."""

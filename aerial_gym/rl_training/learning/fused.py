@@ -1,4 +1,4 @@
-"""The learner with networks in kernels of their own, for two small multi-layer perceptrons on a GPU: the same formulas.
+"""Proximal policy optimisation with fused network kernels, for two small multi-layer perceptrons on a GPU.
 
 Letters: T steps, E environments, O entries of what a network sees, U entries of an action, P weights, B blocks.
 """

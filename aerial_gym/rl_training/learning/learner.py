@@ -1,4 +1,4 @@
-"""What every learner of ours has: networks, where the simulation stands, and what the host is told.
+"""Base of the learners: networks, the simulation's current observation, and sums for the host.
 
 Letters: T steps of a segment, E environments.
 """

@@ -1,4 +1,4 @@
-"""What learners make of rewards, values and actions: pure functions.
+"""Advantages and bounds of actions for learners: pure functions.
 
 Letters: T steps, E environments, U entries of an action.
 """

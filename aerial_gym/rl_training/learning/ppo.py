@@ -95,7 +95,7 @@ class Flown:
 
 @dataclass(frozen=True, kw_only=True)
 class Samples:
-    """What is learned from."""
+    """Samples of an update."""
 
     prepared: Mapping[str, Tensor]
     """Observations as the networks take them, by key, (T, E, ...)."""
@@ -117,7 +117,7 @@ class Samples:
 
 
 class Ppo(Learner):
-    """A learner: the network, its optimiser, and where the simulation stands."""
+    """Proximal policy optimisation: network, optimiser, and the simulation's current observation."""
 
     GAUGES = ("learning_rate", "std", "divergence", "policy_loss", "value_loss")
     """The last three are means over the minibatches of the last pass over the samples."""

@@ -1,1 +1,1 @@
-"""Policies: what maps observations to actions, and where they are read from."""
+"""Policies: networks from observations to actions, and their loading from checkpoints."""

@@ -38,7 +38,7 @@ def _beside(device: torch.device) -> Iterator[AbstractContextManager[object]]:
 
 
 class ActorCritic(nn.Module):
-    """A policy, and the value of what a body of its own, or that of the policy, makes of an observation.
+    """A policy with a value head, on a body of its own or on the policy's.
 
     Values are as normalised as the returns that they are learned from: ``scale`` counts these.
     """

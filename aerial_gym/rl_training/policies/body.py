@@ -1,4 +1,4 @@
-"""What all networks share: an encoder for every observation key, layers, and a memory if they have one.
+"""Body of all networks: one encoder per observation key, dense layers, and a memory on request.
 
 Letters: T steps, E environments, O entries of a vector, C x H x W an image, F features, M numbers of memory.
 """
@@ -44,7 +44,7 @@ class BodyCfg:
 
 
 class Body(nn.Module):
-    """Observations to features; what it remembers is given and returned, so that it has no state of its own."""
+    """Network from observations to features; its memory is an argument and a result, so that it holds no state."""
 
     def __init__(self, cfg: BodyCfg, *, beside: "Body | None" = None) -> None:
         """Make the layers, with torch's own first weights; what ``beside`` normalises as well is normalised alike.

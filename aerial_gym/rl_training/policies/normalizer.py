@@ -1,4 +1,4 @@
-"""Running mean and variance of what a network sees or is asked to predict, kept on the device.
+"""Running mean and variance of network inputs or targets, kept on the device.
 
 Letters: N samples, O entries of a sample.
 """

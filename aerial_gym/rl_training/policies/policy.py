@@ -1,4 +1,4 @@
-"""The contract of everything that flies: observations to actions, with a memory that is reset by mask.
+"""Interface and implementation of policies: observations to actions, with a memory that is reset by mask.
 
 Letters: E environments, U entries of an action, F features, M numbers of memory.
 """
@@ -14,7 +14,7 @@ from aerial_gym.rl_training.policies.body import Body, BodyCfg
 
 
 class Pilot(Protocol):
-    """What evaluation and play fly."""
+    """Interface of policies for evaluation and play."""
 
     def __call__(self, observation: Mapping[str, Tensor]) -> Tensor:
         """Return actions (E, U) in -1 to 1 for observations of E environments, by key."""

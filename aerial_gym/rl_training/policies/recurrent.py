@@ -42,7 +42,7 @@ def along(cell: nn.GRUCell, features: Tensor, memory: Tensor, begins: Tensor) ->
 
 
 class _Along(torch.autograd.Function):
-    """The steps, of which torch's kernel of the unit does all but the product of weights and memory."""
+    """The time steps: torch's kernel of the unit, except for the product of weights and memory."""
 
     @staticmethod
     def forward(ctx: Any, entering: Tensor, memory: Tensor, begins: Tensor, weight: Tensor, bias: Tensor) -> Tensor:

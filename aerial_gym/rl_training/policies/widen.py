@@ -1,4 +1,4 @@
-"""Networks that begin where those of another training ended, and may see more than those did.
+"""Initial weights from another training, whose network may have fewer inputs.
 
 Letters: O entries of an observation, H width of the first layer.
 """

@@ -1,1 +1,1 @@
-"""What a training leaves and how it is continued: run folder, checkpoints, progress, interruption."""
+"""Run folder, checkpoints, progress and interruption of a training."""

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM while a training runs: both end it as soon as may be, and it saves."""
+"""Ctrl-C and SIGTERM during a training: both end it as soon as possible, with a checkpoint."""
 
 import signal
 import threading

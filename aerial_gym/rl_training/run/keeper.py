@@ -1,4 +1,4 @@
-"""What a training keeps, when, and how it takes it up again: the same for all trainers."""
+"""Checkpoints of a training: content, schedule and resumption, common to all trainers."""
 
 import logging
 import time

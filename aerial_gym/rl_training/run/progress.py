@@ -31,7 +31,7 @@ REPORT_INTERVAL_S = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """What a trainer knows after an update."""
+    """Numbers of a trainer after an update."""
 
     env_steps: int
     """Environment steps in all sessions."""

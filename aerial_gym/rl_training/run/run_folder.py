@@ -1,4 +1,4 @@
-"""The folder that a training leaves: settings, versions, checkpoints, TensorBoard files, learning curve, log.
+"""Run folder of a training: settings, versions, checkpoints, TensorBoard files, learning curve, log.
 
 ::
 

@@ -1,4 +1,4 @@
-"""The scalars of a training to Weights & Biases: what TensorBoard gets, whichever trainer writes it."""
+"""Copies of a training's TensorBoard scalars to Weights & Biases, for any trainer."""
 
 import importlib.util
 import json

@@ -80,7 +80,7 @@ def repeat(
 
 
 class OwnTraining(Generic[AnyLearner]):
-    """A learner, repeated, and what the host knows of it."""
+    """Iterations of a learner, and its numbers on the host."""
 
     def __init__(self, cfg: TrainingCfg, task: Task, learner: AnyLearner) -> None:
         """Take settings, a task without a graph of its own, and a new learner; start all episodes."""
@@ -185,7 +185,7 @@ def _is_image(tensor: Tensor) -> bool:
 
 
 class _Told:
-    """The learner's numbers on the host: on a GPU they are copied while it goes on, and read at the next look."""
+    """The learner's numbers on the host; on a GPU they are copied asynchronously and read one look later."""
 
     def __init__(self, learner: Learner) -> None:
         self._learner = learner

@@ -1,4 +1,4 @@
-"""What a robot file describes: whether it can be, hover, turn and be controlled, before anything is trained on it."""
+"""Check of a robot file before training: physical consistency, hover, control authority and stability."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""The largest time step at which a robot comes to rest under a controller, found by flying it.
+"""Largest stable time step of a robot under a controller, from simulated flights to rest.
 
 Where ``control.stability`` looks at the linearised loop, this flies the loop itself, limits, effects and all, from disturbed
 starts near hover, in the physics backend in which it will fly. A robot with joints flies rigid in its reference pose; one whose
@@ -61,7 +61,7 @@ CEILING = 1e3
 
 @dataclass(frozen=True, kw_only=True)
 class StableStep:
-    """What came of a controller."""
+    """Largest stable time step of a controller."""
 
     controller: str
     """Its name."""

@@ -1,4 +1,4 @@
-"""What a vehicle can do whose tail rotor leans sideways on a servo, which gives the torque about z that its rotors lack.
+"""Hover and control authority of a tricopter, whose tail servo tilts the tail rotor to give yaw torque.
 
 Its unknowns at hover are the thrusts of the other rotors and two of the tail: the part along body z and that along -y, which a
 positive angle gives. In these forces and torques are linear; thrust and angle are their length and direction.

@@ -1,4 +1,4 @@
-"""What the readers of files find: one body, places of rotors with whatever is known of them, shapes, and notes.
+"""Content of an imported vehicle file: one body, rotors with their known data, shapes and notes.
 
 Frames: axes and origin of the root link, which become the body's: x forward, y left, z up. SI units.
 """

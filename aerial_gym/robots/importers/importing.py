@@ -30,7 +30,7 @@ _WAY_OUT = "Give a robot that has some: --rotors-of ROBOT, rotors_of of RotorHin
 
 @dataclass(frozen=True, kw_only=True)
 class RotorHints:
-    """What a file does not say of its rotors."""
+    """Rotor data that the file lacks, given by the user."""
 
     rotors_of: RobotCfg | None = None  # Robot with these rotors; its mounts are taken where the file has none
     spins: tuple[int, ...] = ()  # +1 or -1 for each rotor in the order of the file, in place of what it says
@@ -42,7 +42,7 @@ class RotorHints:
 
 @dataclass(frozen=True)
 class Imported:
-    """A robot, and what of its file is not in it."""
+    """An imported robot, with the unused elements of its file and the assumptions."""
 
     robot: RobotCfg
     notes: tuple[str, ...]  # What is not used, a line each, none twice

@@ -1,4 +1,4 @@
-"""Mass whose weight a file takes away, as upward forces: ``buoyancy``, and ``link_buoyancy`` of vehicles with joints.
+"""Weightless masses of a file as upward forces: ``buoyancy``, or ``link_buoyancy`` of vehicles with joints.
 
 A body of mass m with gravity compensation c feels ``c m g`` upwards at its centre of mass. Parallel forces act like their sum
 at their weighted centre.

@@ -30,7 +30,7 @@ _PER_RPM = (30.0 / pi) ** 2
 
 @dataclass(frozen=True)
 class Properties:
-    """What is read of the element."""
+    """Content of the element."""
 
     rotor: RotorCfg | None = None
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)

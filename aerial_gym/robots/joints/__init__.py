@@ -1,1 +1,1 @@
-"""Robots that bend: the states of their joints, and families of them."""
+"""Robots with joints: joint states, link poses and their contact."""

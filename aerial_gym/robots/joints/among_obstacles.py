@@ -1,4 +1,4 @@
-"""Obstacles around a robot that bends, where an engine finds the contacts itself: they move, and fast touches are crashes.
+"""Swept collision test of links against obstacles, for engines that find contacts themselves: fast touches are crashes.
 
 A ``SubstepHook``: after each substep every link is swept along it (``crossings``), a touch at the speed of a crash is a crash,
 and the obstacles move. Then every link is looked at as ``scene_contact`` looks at a rigid body. What overlaps pushes from the

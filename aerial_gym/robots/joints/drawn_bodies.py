@@ -1,4 +1,4 @@
-"""What draws of the whole vehicle leave of the base of one that bends, whose links weigh what was declared."""
+"""Check that draws of a vehicle's total mass and inertia leave a possible base, as its links keep their declared mass."""
 
 from collections.abc import Sequence
 from itertools import product

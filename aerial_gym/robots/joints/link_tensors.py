@@ -1,4 +1,4 @@
-"""Where the links of a robot are, as tensors of the Global Tensor Dictionary; ``links`` writes them.
+"""Link poses and velocities as tensors of the Global Tensor Dictionary; ``links`` writes them.
 
 Frames: world z up; that of a link is the body's in the reference pose. Letters: E environments, L links, the base first.
 """

@@ -1,4 +1,4 @@
-"""Where the links of a robot are and how they move, for what sits on them: sensors, shapes that are seen or that collide.
+"""Pose and velocity of links, for the sensors, visible shapes and collision shapes on them.
 
 The frame of a link is that of the body in the reference pose, in which a robot file tells all places: where link k is, is the
 product of the turns and shifts of the joints from the base to it, each about its axis in the reference pose::

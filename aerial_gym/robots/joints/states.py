@@ -1,4 +1,4 @@
-"""The joints of a robot in the Global Tensor Dictionary, and where an episode begins with them.
+"""Joint states of a robot in the Global Tensor Dictionary, and their draw at reset.
 
 Letters: E environments, D joints.
 """

@@ -1,4 +1,4 @@
-"""The angle of a tail rotor on a servo, by which a tricopter keeps its heading.
+"""Servo angle of a tail rotor, with which a tricopter holds its heading.
 
 Controllers command rotors; the drive of a joint is an entry of the action behind theirs, which whoever flies the vehicle gives.
 Frames: body is x forward, y left, z up. Letters: E environments.

@@ -1,4 +1,4 @@
-"""What of a robot that bends is pushed by the ground, by obstacles and by its own links."""
+"""Contact shapes of a robot with joints, for ground, obstacles and its own links."""
 
 from dataclasses import replace
 

@@ -1,1 +1,1 @@
-"""Range images as a few numbers: a variational autoencoder, its file, and the image of what a robot would run into."""
+"""Compression of range images by a variational autoencoder: network, file, and the collision distance image."""

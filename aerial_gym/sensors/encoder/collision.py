@@ -1,4 +1,4 @@
-"""How far a robot could fly along each pixel's ray before it would touch what the image shows.
+"""Collision distance image: free flight distance of a ball along each pixel's ray.
 
 Such an image says what a range image leaves to be found out: whether the robot fits. Frame: the sensor's own, x forward.
 Letters: B images, H x W pixels, N = H W rays.

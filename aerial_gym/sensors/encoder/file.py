@@ -1,4 +1,4 @@
-"""An encoder as a task uses it: from images in the unit of their sensor to latents, and the file that it stands in.
+"""Image encoder for tasks: images in the sensor's unit to latents, and its file.
 
 Letters: B images, H x W pixels, L latents.
 """

@@ -1,4 +1,4 @@
-"""What a command generator is: task buffers, pure functions that move them on, and draws at reset.
+"""Interface of command generators: task buffers, pure functions that update them, and draws at reset.
 
 Letters: E environments.
 """

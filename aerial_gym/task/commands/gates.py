@@ -1,4 +1,4 @@
-"""Gates: openings that are to be flown through one after the other, each from its own side.
+"""Gates: openings to be passed in order, each from its front.
 
 A gate is a rectangle that stands upright: its centre, the heading in which it is flown through, its width and height.
 Frames: world of each environment, z up. Letters: E environments.

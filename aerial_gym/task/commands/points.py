@@ -1,4 +1,4 @@
-"""A point, a drawn point, a sequence of points, an asset and the place of a slung load.
+"""Target points: constant, random, in sequence, on an asset, and for a slung load.
 
 Frames: world of each environment, z up. Letters: E environments.
 """
@@ -32,7 +32,7 @@ class Point(Command):
 
 @COMMANDS.generator("drawn_point")
 class DrawnPoint(Command):
-    """A point that is drawn uniformly at every reset; obstacles whose place is drawn keep away from a robot there."""
+    """A point drawn uniformly at every reset; randomly placed obstacles keep clear of it."""
 
     goal = True
 
@@ -48,7 +48,7 @@ class DrawnPoint(Command):
 
 @COMMANDS.generator("drawn_pose")
 class DrawnPose(DrawnPoint):
-    """The point of ``drawn_point``, and a heading to have there, ``target_yaw``, drawn uniformly from the whole turn."""
+    """The point of ``drawn_point`` with a heading, ``target_yaw``, drawn uniformly from a full turn."""
 
     def __init__(self, values: Values, env: EnvManager, *, low: Vec3, high: Vec3) -> None:
         """Take the lowest and the highest point as shares of the bounds, 0 <= low <= high <= 1."""

@@ -1,4 +1,4 @@
-"""Episodes of a training that begin behind a gate: what commands of gates share. Letters: E environments, G gates."""
+"""Training episodes that start behind a gate, for all gate commands. Letters: E environments, G gates."""
 
 import torch
 from torch import Tensor

@@ -1,4 +1,4 @@
-"""The gates of an environment's race track, which every reset draws anew, and what a pilot knows of them.
+"""Gates of an environment's race track, drawn at every reset, and the poses that a pilot knows.
 
 Frames: world of each environment, z up; a gate is flown through along its own x. Letters: E environments, G gates, P poles.
 """

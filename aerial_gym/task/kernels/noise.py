@@ -1,4 +1,4 @@
-"""Noise of what a policy observes, and of what it commands.
+"""Noise of observations and commands.
 
 Letters: E environments, N entries of an observation that have noise or drop out.
 """

@@ -1,4 +1,4 @@
-"""Episodes of a training that begin on the way, behind a gate that the robot has just flown through.
+"""Training episodes that start behind a gate of the track, as if the robot had just passed it.
 
 Frames: world of each environment, z up; a gate is flown through along its own x. Letters: E environments, G gates.
 """

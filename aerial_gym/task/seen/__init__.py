@@ -1,1 +1,1 @@
-"""What a task makes of its robot's images: raw ones, the nearest distance in cells, latents of an encoder."""
+"""Image observations of a task: raw images, nearest distances in cells, latents of an encoder."""

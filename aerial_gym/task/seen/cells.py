@@ -1,4 +1,4 @@
-"""What terms see of the first range sensor's image: the smallest distances in cells, made where a term reads them.
+"""Nearest distances in cells of the first range sensor's image, made when a term reads them.
 
 Letters: E environments.
 """

@@ -1,4 +1,4 @@
-"""Raw images among the observations: distances, ids or colours as shares of the largest, in 8, 16 or 32 bits, some frames.
+"""Raw image observations: distances, ids or colours as shares of a largest value, in 8, 16 or 32 bits, with history.
 
 Letters: E environments, S sensors, H x W pixels, P numbers of an image (S H W, and K for each of these with colours).
 """

@@ -1,4 +1,4 @@
-"""What terms see of the first range sensor's image through an encoder: its latents, made where a term reads them.
+"""Encoder latents of the first range sensor's image, made when a term reads them.
 
 Letters: E environments, L latents.
 """

@@ -1,4 +1,4 @@
-"""What becomes of an action on its way to the controller: transform, delay, first-order filter, noise; one kernel.
+"""Commands from actions: transform, delay, first-order filter and noise in one kernel.
 
 The filter is the exact low pass of a command that is held over a step, ``y += (1 - exp(-dt / tau)) (u - y)``.
 Letters: E environments, V entries of an action, U of a command.

@@ -1,4 +1,4 @@
-"""What a task computes row by row, as few launches: torch functions traced into Warp kernels, and what cannot be traced apart.
+"""Row functions of a task as few launches: torch functions traced into Warp kernels, untraceable terms run separately.
 
 Letters: E environments.
 """
@@ -65,7 +65,7 @@ class ByRow(Generic[Result]):
 
 
 class NamedRows:
-    """A pure function of named tensors, and named tensors it gives: one kernel, some results of which are written in place."""
+    """A pure function from named tensors to named tensors, run as one kernel; some results are written in place."""
 
     def __init__(
         self,

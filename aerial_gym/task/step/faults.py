@@ -1,4 +1,4 @@
-"""Faults of sensors that begin at a moment of each episode's own: what terms of observations show while they last.
+"""Sensor faults of observation terms, each with a random start and duration per episode.
 
 Letters: E environments, F faults, W entries of the widest term that has a fault.
 """
@@ -18,7 +18,7 @@ STEPS, DRAWS = "fault_steps", "fault_draws"
 
 
 class Faults:
-    """The faults of a task: numbers drawn at reset, and what they do to a term."""
+    """Sensor faults of a task: draws at reset and their effect on a term."""
 
     def __init__(
         self, widths: Mapping[str, int], cfgs: Mapping[str, FaultCfg], values: Values, random: Randomness

@@ -1,4 +1,4 @@
-"""The judgement of a step: rewards, ends, and the observation before a reset, one kernel.
+"""Rewards and ends of a step, and the observation before a reset, in one kernel.
 
 Letters: E environments, T terms of the reward, K terminations.
 """
@@ -37,7 +37,7 @@ FLAGS = ("terminated", "truncated", "crash", "success", "timeout", "bad")
 
 @dataclass(frozen=True, kw_only=True)
 class Ends:
-    """What a step ends by, each bool (E,)."""
+    """Flags of episode ends in a step, each bool (E,)."""
 
     crash: Tensor
     success: Tensor  # Of those that end: whether the episode is one
@@ -48,7 +48,7 @@ class Ends:
 
 
 class Judge:
-    """Finds what a step was worth and which episodes end."""
+    """Computes the rewards of a step and the episodes that end."""
 
     def __init__(
         self,

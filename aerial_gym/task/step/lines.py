@@ -1,4 +1,4 @@
-"""Lines of the last values of a row: delay and history as pure functions, to be part of a kernel.
+"""Delay and history of values as pure functions for kernels.
 
 A line of m values of width w stands in a buffer (E, m w), oldest first. Letters: E environments.
 """
@@ -13,7 +13,7 @@ from aerial_gym.interop.rows.tracing import LARGEST_ROW
 
 @dataclass(frozen=True, kw_only=True)
 class Line:
-    """How much of the past a value needs, and which of it is shown."""
+    """Delay and history length of a value."""
 
     longest_delay: int  # Largest delay [steps]
     history: int = 1  # Values shown side by side, oldest first

@@ -1,4 +1,4 @@
-"""What a policy observes: terms side by side in groups, with noise, dropout, delay, history and scale.
+"""Observations: terms concatenated in groups, with noise, dropout, delay, history and scale.
 
 Letters: E environments, O entries of a group.
 """
@@ -25,7 +25,7 @@ NOISE, DELAYS = "observation_noise", "observation_delay"
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """A term of a group, its numbers, and where what belongs to it stands."""
+    """A term of a group with its settings, buffers and columns."""
 
     term: BoundTerm
     cfg: ObservationCfg

@@ -1,4 +1,4 @@
-"""What is known after a step and its resets, for the next one: the command's next target, and buffers, in one kernel.
+"""Values for the next step: the command's next target and buffers, in one kernel.
 
 Letters: E environments.
 """

@@ -1,4 +1,4 @@
-"""Whether terms return what they say. Letters: E environments."""
+"""Checks of the shape and dtype that terms return. Letters: E environments."""
 
 from collections.abc import Mapping
 

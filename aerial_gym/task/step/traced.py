@@ -1,4 +1,4 @@
-"""What terms read with gradients: the motion and the actions of a differentiable simulation, and what follows from them.
+"""Inputs of terms with gradients: motion and actions of a differentiable simulation, and quantities derived from them.
 
 The Global Tensor Dictionary and the task's buffers show numbers without gradients and are written anew in every step. With a
 graph the same functions that are made into kernels otherwise run as torch operations, on tensors that are never written again.

@@ -1,4 +1,4 @@
-"""Transforms of actions: pure functions from what a policy gives, each entry -1 to 1, to what the controller takes.
+"""Action transforms: pure functions from policy outputs, each -1 to 1, to controller commands.
 
 Letters: E environments, U entries of an action or command.
 """
@@ -16,7 +16,7 @@ from aerial_gym.task.terms.term import Function
 
 @dataclass(frozen=True, kw_only=True)
 class Action:
-    """How actions become commands."""
+    """A registered action transform."""
 
     value: Callable[..., Tensor]  # Of actions (E, U) and parameters by name, to commands
     width: int | None = None  # Entries of an action; None is the width of the command

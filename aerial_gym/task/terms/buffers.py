@@ -1,4 +1,4 @@
-"""Task buffers: what a task remembers of the step before, declared like a key of the GTD and made where a term reads it.
+"""Task buffers: values of the previous step, declared like GTD keys and made when a term reads them.
 
 A buffer is a pure function like a term: after every step, and after the resets in it, it is computed for all environments, and
 terms of the next step read it. It may read itself, and ``begun``, which says whose episode has just begun.
@@ -18,7 +18,7 @@ from aerial_gym.task.terms.way import way_through
 
 @dataclass(frozen=True, kw_only=True)
 class Buffer:
-    """What a buffer holds, and what it is after a step."""
+    """Declaration of a buffer and its update after a step."""
 
     term: Term
     shape: tuple[int | str, ...]  # Of a row

@@ -24,7 +24,7 @@ ACTION = -1
 
 @dataclass(frozen=True, kw_only=True)
 class Term:
-    """A function and what is known of it."""
+    """A registered function with its interface."""
 
     name: str
     value: Callable[..., Tensor]

@@ -1,4 +1,4 @@
-"""The way to and through a gate: its length, which is rewarded when it gets shorter, and where it leads.
+"""Path through a gate: its length, whose decrease is rewarded, and its direction.
 
 Frames: a gate is flown through along its own x, its opening lies in its y and z. Letters: E environments.
 """

@@ -30,7 +30,7 @@ MOST_THAT_DIFFER = 2e-3
 
 @dataclass(frozen=True, kw_only=True)
 class PeerTimes:
-    """What a peer's process found."""
+    """Times and images of a peer's process."""
 
     seconds: list[float]
     """Time of all images in each repeat [s]."""
