@@ -1,9 +1,9 @@
-"""Exceptions that users see. Every message names the thing, its value, the rule and the remedy."""
+"""Public exceptions. Each message names the object, its value, the rule and the remedy."""
 
 from collections.abc import Iterable
 
 LONGEST_SENTENCE = 1200
-"""Characters of a message; a value of thousands of characters that it names is cut out of its middle."""
+"""Longest message [characters]; longer ones are shortened in the middle."""
 
 
 class AerialGymError(Exception):
@@ -20,11 +20,11 @@ class ConfigError(AerialGymError, ValueError):
 
 
 class UnknownNameError(AerialGymError, KeyError):
-    """A name that no registry holds."""
+    """A name is not registered."""
 
 
 class DuplicateNameError(AerialGymError, ValueError):
-    """A name that is registered already."""
+    """A name is already registered."""
 
 
 class ShapeError(AerialGymError, ValueError):
@@ -36,11 +36,11 @@ class OwnershipError(AerialGymError, TypeError):
 
 
 class CapabilityError(AerialGymError, NotImplementedError):
-    """A physics backend cannot run what was asked of it."""
+    """A physics backend lacks a requested capability."""
 
 
 class DataError(AerialGymError, ValueError):
-    """A flight log or another data file cannot be used as it is."""
+    """A flight log or other data file is unusable."""
 
 
 class MissingDependencyError(AerialGymError, ImportError):
@@ -48,11 +48,11 @@ class MissingDependencyError(AerialGymError, ImportError):
 
 
 class StorageError(AerialGymError, OSError):
-    """A file cannot be written: the disk is full, or the system does not allow it. The request was right."""
+    """A file cannot be written, because the disk is full or access is denied. The request itself is valid."""
 
 
 class TrainingError(AerialGymError, RuntimeError):
-    """A training cannot go on: it diverged, or the library that trains gave up."""
+    """A training stopped: it diverged, or its library failed."""
 
 
 class ClosedError(AerialGymError, AttributeError):
@@ -60,7 +60,7 @@ class ClosedError(AerialGymError, AttributeError):
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """Return the sentence that names the nearest known name, after a space; nothing if none is near."""
+    """Return a sentence with the most similar known name, after a space; empty if none is similar."""
     from difflib import get_close_matches
 
     near = get_close_matches(str(name), list(known), n=1)

@@ -1,6 +1,6 @@
-"""What a package offers, without importing it: names load when first used, and one line about each is read from its source.
+"""Lazy imports: names of a package load at first use, and their summaries are read from the source.
 
-``aerial-gym list`` and ``--help`` answer so without torch and Warp.
+So ``aerial-gym list`` and ``--help`` need neither torch nor Warp.
 """
 
 import ast
@@ -16,9 +16,9 @@ from typing import Any
 
 
 def exports(package: str, path: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """Return ``__getattr__`` and ``__dir__`` of a package whose imports stand under ``if TYPE_CHECKING:``.
+    """Return ``__getattr__`` and ``__dir__`` of a package with its imports under ``if TYPE_CHECKING:``.
 
-    Type checkers and readers see ordinary imports; Python runs each of them when its name is first used.
+    Type checkers and readers see ordinary imports; Python runs each at the first use of its name.
 
     Args:
         package: ``__name__`` of the package.
@@ -45,9 +45,9 @@ def _homes(tree: ast.Module) -> dict[str, str]:
 
 @contextmanager
 def no_garbage() -> Iterator[None]:
-    """Import inside without looking for garbage, of which modules make none: a seventh of the time of torch and SciPy.
+    """Pause garbage collection during imports, which saves a seventh of the time for torch and SciPy.
 
-    What they hold is looked through no more later on either.
+    The imported objects are also excluded from later collections.
     """
     looked = gc.isenabled()
     gc.disable()
@@ -61,12 +61,12 @@ def no_garbage() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Home:
-    """A class, or what else a module holds, by its place ``package.module:Name``."""
+    """A class or other object of a module, by its path ``package.module:Name``."""
 
     place: str
 
     def load(self) -> Any:
-        """Import it."""
+        """Import the object."""
         module, _, name = self.place.partition(":")
         return getattr(import_module(module), name)
 
@@ -75,7 +75,7 @@ class Home:
         return self.load()()
 
     def summary(self) -> str:
-        """Return the ``summary`` in the class's body, or else the first line of its docstring, without importing it."""
+        """Return the ``summary`` in the class body, or else the first line of the docstring, without an import."""
         module, _, name = self.place.partition(":")
         spec = find_spec(module)
         if spec is None or spec.origin is None:

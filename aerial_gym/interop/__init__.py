@@ -1,4 +1,4 @@
-"""Where torch and Warp meet: devices, streams and threads."""
+"""Interoperation of torch and Warp: devices, streams and threads."""
 
 from typing import TYPE_CHECKING
 

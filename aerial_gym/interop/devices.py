@@ -11,7 +11,7 @@ def resolve_device(name: str | torch.device) -> torch.device:
     ``auto`` takes the CPU if there is no GPU.
 
     Raises:
-        ConfigError: If the name asks for a GPU that is not there, or is no device at all.
+        ConfigError: If the name is no device, or names a missing GPU.
     """
     if str(name) == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
@@ -21,7 +21,7 @@ def resolve_device(name: str | torch.device) -> torch.device:
         raise ConfigError(f"device {name!r}: must be auto, cpu, cuda or cuda:N") from None
     if device.type == "cuda":
         count = torch.cuda.device_count()
-        chosen = torch.cuda.current_device() if torch.cuda.is_initialized() else 0  # asking would start CUDA
+        chosen = torch.cuda.current_device() if torch.cuda.is_initialized() else 0  # a query would initialise CUDA
         index = chosen if device.index is None else device.index
         if index >= count:
             raise ConfigError(f"device {str(name)!r}: this machine shows {count} CUDA devices. Use device='cpu'.")

@@ -1,4 +1,4 @@
-"""What Warp compiles, told through ``logging``: the first time on a machine it takes seconds, and nobody should wonder."""
+"""Log of Warp's compilations through ``logging``, because the first ones on a machine take seconds."""
 
 import logging
 import re
@@ -13,13 +13,13 @@ _COMPILED = re.compile(
 
 
 class KernelLog:
-    """A logger for Warp (``wp.set_logger``) that tells of compilations alone."""
+    """A logger for Warp (``wp.set_logger``) that reports compilations only."""
 
     def __init__(self) -> None:
         self._told = False
 
     def info(self, message: str) -> None:
-        """Tell of a module that was compiled; drop the banner and what was in the cache."""
+        """Log a compiled module; drop Warp's banner and modules from the cache."""
         found = _COMPILED.search(message)
         if found is None:
             return
@@ -29,13 +29,13 @@ class KernelLog:
         _log.warning("compiled %s%s", what, kept)
 
     def debug(self, message: str) -> None:
-        """Pass on what a user asked for by ``wp.config.log_level``."""
+        """Log debug messages of Warp, which ``wp.config.log_level`` enables."""
         _log.debug(message)
 
     def warning(self, message: str, category: type[Warning] | None = None, stacklevel: int = 1) -> None:
-        """Warn as Warp would."""
+        """Issue a warning of Warp."""
         warnings.warn(message, category, stacklevel=stacklevel + 1)
 
     def error(self, message: str) -> None:
-        """Tell of an error."""
+        """Log an error."""
         _log.error(message)

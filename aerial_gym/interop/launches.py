@@ -1,7 +1,7 @@
-"""Launches that are recorded once and repeated, and the compilation of their kernels beside other work.
+"""Reusable kernel launches, and compilation of their kernels in background threads.
 
-Warp compiles a module when one of its kernels is first launched or recorded, while everything else waits. Here a launch is
-recorded at its first use. Threads compile its module meanwhile, side by side with others.
+Warp compiles a module at the first launch or recording of one of its kernels, and blocks. Here a launch is recorded at its
+first use, and threads compile its module before that, in parallel with others.
 """
 
 import os
@@ -16,18 +16,18 @@ import warp as wp
 from torch import Tensor
 
 MAX_WORKERS = 4
-"""Modules that are compiled at the same time, at most. Each worker reads Warp's headers once for itself, which takes 2 s."""
+"""Largest number of modules compiled at the same time. Each worker reads Warp's headers once, which takes 2 s."""
 
 NO_BFLOAT16 = "-DWP_NO_BFLOAT16="
-"""Leaves out of Warp's headers what only kernels of bfloat16 need, a fifth of them; ours have none. Warp leaves it out of every
-such module, but not of the headers that it precompiles."""
+"""Flag that removes the bfloat16 part of Warp's headers, a fifth of them; our kernels have none. Warp sets it for such modules
+itself, but not for its precompiled headers."""
 
 LONGEST_SEARCHED = 2000
-"""Lines of a kernel up to which a compiler for CPUs looks for operations to do side by side. Most have tens to some hundreds,
-and gain; over the 3700 of 337 observations it takes 45 s in place of 6."""
+"""Largest number of lines of a kernel with superword vectorisation on CPUs. Most kernels have tens to hundreds of lines, and
+gain; the 3700 lines of 337 observations would compile in 45 s instead of 6."""
 
 _begun: dict[tuple[wp.Module, str, int | None], Future[None]] = {}
-"""By module, device and threads of a block, for each of which a GPU has a module of its own; None on a CPU."""
+"""Compilations by module, device and block size; on a GPU each size has its own binary, on a CPU the size is None."""
 
 
 @cache
@@ -36,7 +36,7 @@ def _workers() -> ThreadPoolExecutor:
 
 
 def _forget() -> None:
-    """Begin anew in a process that was forked: the threads stayed behind."""
+    """Reset the compilations in a forked process, which has no threads of its parent."""
     _workers.cache_clear()
     _begun.clear()
 
@@ -46,13 +46,13 @@ if hasattr(os, "register_at_fork"):
 
 
 def compile_ahead(kernel: wp.Kernel, device: wp.Device, *, block_dim: int = 256) -> None:
-    """Start to compile a kernel that a device will need, or to fetch it from Warp's cache, and wait for nothing."""
+    """Start to compile a kernel for a device, or to load it from Warp's cache, in the background."""
     key = _key(kernel, device, block_dim)
     if key in _begun:
         return
     if (
         device.is_cpu and wp.config.cpu_compiler_flags is not None
-    ):  # one set for nearly all: headers are precompiled for each
+    ):  # one set of flags for nearly all, because headers are precompiled for each set
         kernel.module.options["cpu_compiler_flags"] = " ".join(
             (wp.config.cpu_compiler_flags, NO_BFLOAT16, *_own_flags(kernel))
         )
@@ -66,37 +66,39 @@ def _key(kernel: wp.Kernel, device: wp.Device, block_dim: int) -> tuple[wp.Modul
 
 
 def _own_flags(kernel: wp.Kernel) -> tuple[str, ...]:
-    """Return the flags of a kernel of very many lines."""
+    """Return the compiler flags of a kernel with very many lines."""
     return ("-fno-slp-vectorize",) if kernel.adj.source.count("\n") > LONGEST_SEARCHED else ()
 
 
 def wait_for(kernel: wp.Kernel, device: wp.Device, *, block_dim: int = 256) -> None:
-    """Wait until a kernel of ``compile_ahead`` can be launched. If it cannot be compiled, its launch says why."""
+    """Wait until a kernel of ``compile_ahead`` can be launched; compile errors appear at the launch."""
     begun = _begun.get(_key(kernel, device, block_dim))
     if begun is not None:
         wait([begun])
 
 
 def wait_for_all() -> None:
-    """Wait for all kernels of ``compile_ahead``: a GPU loads none while a CUDA graph is recorded."""
+    """Wait for all kernels of ``compile_ahead``, because a GPU loads none during the capture of a CUDA graph."""
     wait(_begun.values())
 
 
 @contextmanager
 def on_torch_stream(tensor: Tensor) -> Iterator[None]:
-    """Run the Warp launches inside on the torch stream of ``tensor``'s device; on the CPU there is nothing to join."""
+    """Run Warp launches on the torch stream of ``tensor``'s device; no effect on the CPU."""
     if tensor.device.type != "cuda":
         yield
         return
     stream = wp.stream_from_torch(torch.cuda.current_stream(tensor.device))
-    with wp.ScopedStream(stream, sync_enter=False):  # no event on Warp's own stream: a capture would refuse it
+    with wp.ScopedStream(
+        stream, sync_enter=False
+    ):  # without an event on Warp's own stream, which would break a capture
         yield
 
 
 class RecordedLaunch:
-    """A launch with everything fixed, to be repeated.
+    """A launch with fixed arguments, for repeated use.
 
-    Its kernel may still be compiled when this is made; the first use waits for it.
+    The first use waits for the compilation of its kernel.
     """
 
     def __init__(
@@ -110,9 +112,9 @@ class RecordedLaunch:
         block_dim: int = 256,
         tiled: bool = False,
     ) -> None:
-        """Take what ``warp.launch`` takes, or ``warp.launch_tiled`` if it is ``tiled``.
+        """Store the arguments of ``warp.launch``, or of ``warp.launch_tiled`` if ``tiled``.
 
-        A tensor becomes an array of the type that the kernel declares. All arguments are kept alive.
+        Tensors become arrays of the types that the kernel declares. All arguments are kept alive.
         """
         device = wp.device_from_torch(device) if isinstance(device, torch.device) else device
         self._kernel, self._device = kernel, device
@@ -123,7 +125,7 @@ class RecordedLaunch:
 
     @cached_property
     def command(self) -> wp.Launch:
-        """What Warp recorded."""
+        """The launch as Warp recorded it."""
         wait_for(self._kernel, self._device, block_dim=self._given["block_dim"])
         command = self._launch(self._kernel, device=self._device, record_cmd=True, **self._given)
         assert isinstance(command, wp.Launch)
@@ -134,7 +136,7 @@ class RecordedLaunch:
         self.command.set_param_at_index(index, self._argument(index, value))
 
     def launch(self, like: Tensor | None = None) -> None:
-        """Launch it, and do not wait: on the current stream of Warp, or of torch on the device of a tensor."""
+        """Launch without waiting, on Warp's current stream, or on torch's for the device of a tensor."""
         with nullcontext() if like is None else on_torch_stream(like):
             self.command.launch()
 
@@ -143,7 +145,7 @@ class RecordedLaunch:
 
 
 def make_struct(kind: Any, **values: object) -> Any:
-    """Return a Warp struct with values in its fields; a tensor becomes an array of the declared type and is kept alive."""
+    """Return a Warp struct with the given fields; tensors become arrays of the declared types and are kept alive."""
     struct = kind()
     for name, value in values.items():
         setattr(struct, name, _as_declared(value, kind.cls.__annotations__[name]))
@@ -151,7 +153,7 @@ def make_struct(kind: Any, **values: object) -> Any:
 
 
 def _as_declared(value: object, kind: Any) -> object:
-    """Return a tensor as an array of a kind, and anything else as it is."""
+    """Return a tensor as an array of the declared type; other values unchanged."""
     if not isinstance(value, Tensor):
         return value
     return wp.from_torch(value, dtype=kind.dtype if hasattr(kind.dtype, "_wp_scalar_type_") else None)

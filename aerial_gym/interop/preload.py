@@ -1,6 +1,6 @@
-"""Native libraries of PyTorch and Warp, and a GPU's context, loaded on a thread while Python imports other modules.
+"""Preloading of the native libraries of PyTorch and Warp, and of a GPU's context, on a thread during imports.
 
-Nothing here imports torch or Warp. Both find the libraries and the context that are there already.
+This module imports neither torch nor Warp. Both then find the loaded libraries and the context.
 """
 
 import ctypes
@@ -16,7 +16,7 @@ BESIDE = ("warp", "aerial_gym.config.environment", "aerial_gym.config.robot", "a
 
 
 def preload(device: str | None) -> threading.Thread:
-    """Start to load libraries, and what a GPU needs; return the thread.
+    """Start a thread that loads libraries and the context of a GPU, and return it.
 
     Args:
         device: ``cuda``, ``cuda:N``, or ``auto`` or None for the first GPU if there is one.
@@ -55,7 +55,7 @@ def _library(package: str, file: str) -> str:
 
 
 def _open(library: str) -> ctypes.CDLL | None:
-    """Return a library, or None if there is none, or what it needs is missing: whoever needs it says so."""
+    """Load a library; None if it or a dependency is missing, which its user reports later."""
     try:
         return ctypes.CDLL(library)
     except OSError:

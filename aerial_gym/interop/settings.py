@@ -1,7 +1,6 @@
-"""Torch's global settings: a program may change them for its own code, and this package computes with the usual ones.
+"""Torch's global settings: this package computes with the defaults, whatever a program has set.
 
-The usual ones are float32 as default type, no default device and no inference mode: tensors that are made under inference
-mode can never be written in place outside it.
+The defaults are float32, no default device and no inference mode, whose tensors can never be written in place outside it.
 """
 
 from collections.abc import Callable
@@ -19,14 +18,14 @@ T = TypeVar("T")
 C = TypeVar("C", bound=type)
 
 USUAL_DEVICE = torch.device("cpu")
-"""Where torch makes tensors if nothing else was asked for."""
+"""Torch's default device."""
 
 _thread = local()
-"""Whether this thread is inside of ``usual_settings``: its settings are then known."""
+"""Whether this thread is inside ``usual_settings``, with known settings."""
 
 
 def usual_settings(function: Callable[P, T]) -> Callable[P, T]:
-    """Return the function, run with torch's usual settings whatever the caller has set; the caller's are put back."""
+    """Return the function run with torch's default settings; the caller's are restored afterwards."""
 
     @wraps(function)
     def run(*args: P.args, **kwargs: P.kwargs) -> T:
@@ -42,18 +41,18 @@ def usual_settings(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def _take_usual(made: Tensor, settings: ExitStack) -> None:
-    """Change the settings that a tensor of default type and place shows to be unusual, until the stack is closed."""
+    """Restore the default settings where a default tensor shows others, until the stack closes."""
     if made.dtype is not torch.float32:
         settings.callback(torch.set_default_dtype, made.dtype)
         torch.set_default_dtype(torch.float32)
     if made.device != USUAL_DEVICE:
         settings.enter_context(USUAL_DEVICE)
     if made.is_inference():
-        settings.enter_context(torch.inference_mode(mode=False))  # gradients are on again, for those who train
+        settings.enter_context(torch.inference_mode(mode=False))  # with gradients enabled, for training
 
 
 def with_usual_settings(cls: C) -> C:
-    """Return the class; its constructor and public methods run with torch's usual settings."""
+    """Decorate a class: its constructor and public methods run with torch's default settings."""
     for name, member in list(vars(cls).items()):
         if isfunction(member) and (name == "__init__" or not name.startswith("_")):
             setattr(cls, name, usual_settings(member))

@@ -1,4 +1,4 @@
-"""Warp's start, and Warp launches on torch's current stream, so that both see each other's work in order."""
+"""Initialisation of Warp, and Warp launches on torch's current stream, in order with torch's work."""
 
 import os
 import sys
@@ -13,22 +13,20 @@ from aerial_gym.interop.kernel_log import KernelLog
 from aerial_gym.interop.launches import wait_for_all
 
 CHOOSE_CACHE = "Set WARP_CACHE_PATH to a folder that can be written"
-"""Remedy where compiled kernels cannot be kept."""
+"""Remedy for a cache that cannot be written."""
 
 BLOCK_DIM = 64
-"""Threads of a block on a GPU in kernels of one thread per environment: Warp's 256 leave most multiprocessors of a large GPU
-without work at some thousand environments."""
+"""Block size on a GPU for kernels of one thread per environment: with Warp's 256, a few thousand environments leave most
+multiprocessors of a large GPU idle."""
 
 
 def start_warp() -> None:
-    """Initialise Warp without its banner; what it compiles is told by ``KernelLog``. A log level or a logger that the user
-    chose stays.
+    """Initialise Warp without its banner, with ``KernelLog`` for compilations unless the user chose a log level or logger.
 
-    Without a GPU, Warp's native library writes a warning about a missing driver, past Python, that nobody can act on: the
-    process's stderr is closed to it meanwhile.
+    Without a GPU, Warp's native library warns of a missing driver directly on stderr, which is muted meanwhile.
 
     Raises:
-        StorageError: If Warp cannot keep compiled kernels; the message names the variable that says where.
+        StorageError: If Warp cannot store compiled kernels; the message names the variable for the folder.
     """
     if not {"WARP_CACHE_PATH", "XDG_CACHE_HOME"} & os.environ.keys() and os.path.expanduser("~") == "~":
         raise StorageError(f"this user has no home folder to keep compiled kernels in. {CHOOSE_CACHE}")
@@ -45,7 +43,7 @@ def start_warp() -> None:
 
 
 def _no_cache(folder: str | None, reason: str) -> str:
-    """Return the message on a folder that takes no compiled kernels."""
+    """Return the message for a cache folder that cannot be written."""
     return f"{folder}: Warp cannot keep compiled kernels there ({reason.lower()}). {CHOOSE_CACHE}"
 
 
@@ -64,22 +62,21 @@ def _silent_stderr() -> Iterator[None]:
 
 @contextmanager
 def on_device(device: torch.device) -> Iterator[None]:
-    """Make a GPU torch's current one inside; a CPU changes nothing."""
+    """Make a GPU torch's current device; no effect for the CPU."""
     with torch.cuda.device(device) if device.type == "cuda" else nullcontext():
         yield
 
 
 @contextmanager
 def recorded(graph: torch.cuda.CUDAGraph, device: torch.device, *, errors: str = "global") -> Iterator[None]:
-    """Record what is launched inside into a CUDA graph, on a stream of its own GPU.
+    """Capture launches into a CUDA graph, on a stream of the given GPU.
 
-    torch's own stream for recordings belongs to the GPU of the first one. Kernels that are still being compiled are waited for:
-    a GPU loads none during a recording.
+    torch's own capture stream belongs to the GPU of the first capture. Pending compilations are awaited first, because a GPU
+    loads no kernel during a capture.
 
     Args:
         graph: Receives the launches.
-        device: Where they run.
-        errors: What torch forbids meanwhile, its ``capture_error_mode``.
+        errors: torch's ``capture_error_mode``.
     """
     wait_for_all()
     stream = torch.cuda.Stream(device)

@@ -1,4 +1,4 @@
-"""Threads on the CPU: torch's own, and Warp launches side by side."""
+"""Threads on the CPU: those of torch, and parallel Warp launches."""
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -14,10 +14,10 @@ from aerial_gym.interop.launches import RecordedLaunch
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Run torch, and the linear algebra of NumPy and SciPy, on one thread inside.
+    """Run torch, and the linear algebra of NumPy and SciPy, on one thread.
 
-    Our tensors on the CPU are small: threads win nothing on a quiet machine, and on a busy one they wait for each other.
-    A step of 4,096 environments took 18 ms on one and 164 ms on two threads of two cores that were shared with other work.
+    Our tensors on the CPU are small: threads gain nothing on an idle machine and wait for each other on a busy one. On two
+    busy cores, a step of 4,096 environments took 18 ms with one thread and 164 ms with two.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -29,7 +29,7 @@ def one_thread() -> Iterator[None]:
 
 
 def split(count: int, parts: int) -> list[tuple[int, int]]:
-    """Return first and number of items of equal parts, at most one per item."""
+    """Split ``count`` items into equal parts; return the first item and the size of each."""
     parts = max(1, min(parts, count))
     return [(a, b - a) for a, b in pairwise(count * i // parts for i in range(parts + 1))]
 
@@ -40,10 +40,10 @@ def _pool(workers: int) -> ThreadPoolExecutor:
 
 
 def launch_side_by_side(launches: Sequence[RecordedLaunch]) -> None:
-    """Run recorded CPU launches at the same time, each on a thread: Warp leaves Python's lock while a kernel runs.
+    """Run recorded CPU launches in parallel, each on a thread: Warp releases Python's lock while a kernel runs.
 
-    One launch, as always on a GPU, costs nothing more. Split a batch into ``torch.get_num_threads()`` launches, so that
-    Warp uses as many cores as torch may.
+    A single launch, as always on a GPU, has no overhead. Split a batch into ``torch.get_num_threads()`` launches, so that
+    Warp uses as many cores as torch.
     """
     first, *rest = launches
     others = [_pool(len(rest)).submit(launch.launch) for launch in rest]

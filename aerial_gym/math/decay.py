@@ -1,4 +1,4 @@
-"""What decays from row to row. Letters: T rows."""
+"""Exponentially weighted sums along rows. Letters: T rows."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,13 +6,13 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 NOTHING = 1e-18
-"""Share of a number beside which it does not count in float64."""
+"""Relative size of a term that is negligible in float64."""
 
 
 def decaying_sum(added: Array, kept: float) -> Array:
-    """Return ``y_n = kept y_(n-1) + x_n`` of columns x (T, any), with ``y_0 = x_0`` and ``0 <= kept <= 1``.
+    """Return the exponential sum ``y_n = kept y_(n-1) + x_n`` of columns x (T, any), with ``y_0 = x_0``, ``0 <= kept <= 1``.
 
-    Derived: a sum over 2 m rows is one over m rows, plus ``kept^m`` times that of m rows before.
+    Derived: a sum over 2 m rows is one over m rows, plus ``kept^m`` times that of the m rows before.
     """
     total, rows = added.copy(), 1
     while rows < len(total) and kept**rows > NOTHING:

@@ -1,4 +1,4 @@
-"""Draws inside kernels: twins of ``math.random``.
+"""Random draws in kernels: the Warp version of ``math.random``.
 
 Letters: E environments.
 """
@@ -10,7 +10,7 @@ from aerial_gym.math.random import Randomness
 
 @wp.struct
 class RandomArrays:
-    """``Randomness`` as a kernel reads it."""
+    """Kernel arrays of ``Randomness``."""
 
     seed: wp.array[wp.int32]  # (1,)
     environment: wp.array[wp.int32]  # (E,)
@@ -27,20 +27,20 @@ def random_arrays(random: Randomness) -> RandomArrays:
 
 @wp.func
 def substream(state: wp.uint32, index: int) -> wp.uint32:
-    """Return the state that belongs to an index within a state."""
+    """Return the random state of an index within a state."""
     return wp.rand_init(int(state), index)
 
 
 @wp.func
 def stream_of(random: RandomArrays, env: int, purpose: int) -> wp.uint32:
-    """Return the state of a purpose in an environment's present episode: ``Randomness.stream``."""
+    """Return the random state of a purpose in an environment's present episode, as ``Randomness.stream``."""
     state = substream(wp.rand_init(random.seed[0], purpose), random.environment[env])
     return substream(state, random.episode[env])
 
 
 @wp.func
 def draw_vec3(random: wp.uint32, quantity: int, low: wp.vec3, high: wp.vec3) -> wp.vec3:
-    """Return three uniform draws between ``low`` and ``high``; ``quantity`` tells the draws of one ``random`` apart."""
+    """Return three uniform draws between ``low`` and ``high``; ``quantity`` separates the draws of one ``random``."""
     stream = substream(random, quantity)
     share = wp.vec3(wp.randf(stream), wp.randf(stream), wp.randf(stream))
     return low + wp.cw_mul(high - low, share)

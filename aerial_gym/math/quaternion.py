@@ -13,7 +13,7 @@ from aerial_gym.math.rows import atan2
 
 
 def quat_multiply(a: Tensor, b: Tensor) -> Tensor:
-    """Return the Hamilton product ``a b``, (..., 4): first turn by ``b``, then by ``a``. Source: Sola (2017), 1.2.2."""
+    """Return the Hamilton product ``a b``, (..., 4): rotation by ``b``, then by ``a``. Source: Sola (2017), 1.2.2."""
     ax, ay, az, aw = a.unbind(-1)
     bx, by, bz, bw = b.unbind(-1)
     return torch.stack(
@@ -28,7 +28,7 @@ def quat_multiply(a: Tensor, b: Tensor) -> Tensor:
 
 
 def quat_conjugate(q: Tensor) -> Tensor:
-    """Return the inverse turn of a unit quaternion, (..., 4)."""
+    """Return the inverse of a unit quaternion, (..., 4)."""
     return torch.cat((-q[..., :3], q[..., 3:]), dim=-1)
 
 
@@ -69,9 +69,9 @@ def quat_to_matrix(q: Tensor) -> Tensor:
 
 
 def quat_exp(rotation: Tensor) -> Tensor:
-    """Return the quaternion that turns by ``|rotation|`` [rad] about ``rotation``, (..., 4). Source: Sola (2017), eq. 101.
+    """Return the quaternion of a rotation vector [rad], (..., 4). Source: Sola (2017), eq. 101.
 
-    Near zero, ``sin(x/2)/x`` is taken from its series, so that value and gradient stay finite.
+    Near zero, ``sin(x/2)/x`` comes from its series, so that value and gradient stay finite.
     """
     square = (rotation * rotation).sum(-1, keepdim=True)
     small = square < 1e-8
@@ -82,7 +82,7 @@ def quat_exp(rotation: Tensor) -> Tensor:
 
 
 def quat_log(q: Tensor) -> Tensor:
-    """Return the rotation vector [rad] of the shorter turn, (..., 3). Source: Sola (2017), eq. 105."""
+    """Return the rotation vector [rad] of at most pi, (..., 3). Source: Sola (2017), eq. 105."""
     q = torch.where(q[..., 3:] < 0.0, -q, q)
     sine = q[..., :3].norm(dim=-1, keepdim=True)
     angle = 2.0 * atan2(sine, q[..., 3:])
@@ -121,17 +121,17 @@ def yaw_from_quat(q: Tensor) -> Tensor:
 
 
 def wrap_angle(angle: Tensor) -> Tensor:
-    """Return the angle [rad] plus whole turns that lies in [-pi, pi)."""
+    """Return the angle [rad] wrapped to [-pi, pi)."""
     return torch.remainder(angle + pi, 2.0 * pi) - pi
 
 
 def quat_yaw(q: Tensor) -> Tensor:
-    """Return the turn about world z alone that has the yaw of ``q``: attitude of the *vehicle* frame, (..., 4)."""
+    """Return the attitude of the *vehicle* frame: the rotation about world z with the yaw of ``q``, (..., 4)."""
     return quat_from_yaw(yaw_from_quat(q))
 
 
 def quat_from_yaw(yaw: Tensor) -> Tensor:
-    """Return the turn by ``yaw`` [rad] about world z, (..., 4)."""
+    """Return the rotation by ``yaw`` [rad] about world z, (..., 4)."""
     half = 0.5 * yaw
     zero = torch.zeros_like(half)
     return torch.stack((zero, zero, torch.sin(half), torch.cos(half)), dim=-1)

@@ -1,7 +1,7 @@
-"""Random numbers that are functions of (seed, environment, episode, purpose[, index or step]), the same as in Warp's kernels.
+"""Counter-based random numbers: functions of (seed, environment, episode, purpose[, index or step]), equal to those in kernels.
 
-Nothing here has a state that a draw moves on: what is drawn for one environment cannot change what another one gets, a draw
-repeats wherever its numbers do, and a captured step draws anew because the episode is counted on the device.
+No draw changes a state. So environments do not affect each other, equal counters repeat a draw, and a captured step draws new
+numbers because the device counts the episodes.
 Letters: E environments.
 """
 
@@ -17,7 +17,7 @@ Word = TypeVar("Word", int, Tensor)
 
 
 class Purpose(IntEnum):
-    """What a number is drawn for. Each purpose has its own streams; a new one gets a new line and a new number."""
+    """Purpose of a draw. Each purpose has its own streams; a new one gets a new line and a new number."""
 
     BOUNDS = 1
     """Corners of an environment; index: corner."""
@@ -68,7 +68,7 @@ class Purpose(IntEnum):
 
 
 def _scramble(state: Word) -> Word:
-    """Return the next state of a generator of 32 bits, an int or int64: PCG as in Warp.
+    """Return the next state of the 32-bit generator PCG, as in Warp, an int or int64.
 
     Source: Jarzynski, Olano (2020), Hash functions for GPU rendering, JCGT 9(3).
     """
@@ -78,7 +78,7 @@ def _scramble(state: Word) -> Word:
 
 
 def counted_state(state: Tensor, count: Tensor | int) -> Tensor:
-    """Return the random state that belongs to a count, int64: ``wp.rand_init(int(state), count)``."""
+    """Return the random state of a count within a state, int64: ``wp.rand_init(int(state), count)``."""
     if isinstance(count, Tensor):
         return _scramble((state.long() + _scramble(count.long() & 0xFFFFFFFF)) & 0xFFFFFFFF)
     return _scramble((state.long() + _scramble(count & 0xFFFFFFFF)) & 0xFFFFFFFF)
@@ -90,9 +90,9 @@ def counted_uniform(state: Tensor, *, dtype: torch.dtype) -> Tensor:
 
 
 def counted_uniforms(state: Tensor, index: int, width: int, *, dtype: torch.dtype) -> Tensor:
-    """Return uniform draws in [0, 1), (..., width), of each state; ``index`` tells the quantities of one random state apart.
+    """Return uniform draws in [0, 1), (..., width), of each state; ``index`` separates the quantities of one state.
 
-    The same as ``wp.randf(stream)``, one after the other, with ``stream = wp.rand_init(int(state), index)``.
+    They equal consecutive ``wp.randf(stream)`` with ``stream = wp.rand_init(int(state), index)``.
     """
     stream, draws = counted_state(state, index), []
     for _ in range(width):
@@ -102,9 +102,9 @@ def counted_uniforms(state: Tensor, index: int, width: int, *, dtype: torch.dtyp
 
 
 def counted_normal(state: Tensor, index: int, width: int, *, dtype: torch.dtype) -> Tensor:
-    """Return normal draws (..., width); ``index`` tells the quantities of one random state apart.
+    """Return normal draws (..., width); ``index`` separates the quantities of one state.
 
-    The same as ``wp.randn(stream)``, one after the other, with ``stream = wp.rand_init(int(state), index)``, but for round-off.
+    They equal consecutive ``wp.randn(stream)`` with ``stream = wp.rand_init(int(state), index)`` to round-off.
     """
     stream, draws = counted_state(state, index), []
     for _ in range(width):
@@ -116,15 +116,15 @@ def counted_normal(state: Tensor, index: int, width: int, *, dtype: torch.dtype)
 
 
 def take_mask(kept: Tensor, mask: Tensor) -> None:
-    """Write ``mask`` into the one that recorded launches read, both bool (E,), unless it is that very tensor."""
+    """Copy ``mask`` into the mask of recorded launches, both bool (E,), unless they are the same tensor."""
     if mask is not kept:
         kept.copy_(mask)
 
 
 class Randomness:
-    """The three numbers from which everything random in a batch follows; they stand on the device and keep their place.
+    """Seed, environment numbers and episode numbers of a batch, in fixed memory on the device.
 
-    The owner of the batch calls ``begin`` where episodes begin, before anything is drawn for them; everyone else reads.
+    The owner of the batch calls ``begin`` at the start of episodes, before any draw; all others only read.
     """
 
     def __init__(
@@ -136,12 +136,12 @@ class Randomness:
         first_env: int = 0,
         first_episode: int = 0,
     ) -> None:
-        """Take the seed and the numbers of the environments.
+        """Store the seed and the numbers of the environments.
 
         Args:
-            device: Where the tensors are.
-            first_env: Number of the first environment; the others follow. Environment 17 of a large batch is number 17 alone.
-            first_episode: Number of the episode that the first ``begin`` begins.
+            first_env: Number of the first environment; the others follow. A single environment 17 equals that
+                of a large batch.
+            first_episode: Number of the episode after the first ``begin``.
         """
         self.first_env, self._first_episode = first_env, first_episode
         self.seed = torch.zeros(1, dtype=torch.int32, device=device)
@@ -160,16 +160,16 @@ class Randomness:
         return self.episode.shape[0]
 
     def restart(self, seed: int) -> None:
-        """Begin the draws of a seed anew."""
+        """Restart the draws with a seed."""
         self.seed.fill_(seed % 2**31)
         self.episode.fill_(self._first_episode - 1)
 
     def state_tensors(self) -> dict[str, Tensor]:
-        """Return what must be kept to go on, by name."""
+        """Return the state for a checkpoint, by name."""
         return {"seed": self.seed, "environment": self.environment, "episode": self.episode}
 
     def begin(self, mask: Tensor) -> None:
-        """Count a new episode in the environments of ``mask``, bool (E,)."""
+        """Advance the episode in the environments of ``mask``, bool (E,)."""
         take_mask(self.mask, mask)
         self.episode.add_(self.mask)
 
@@ -178,11 +178,11 @@ class Randomness:
         return counted_state(self._environments(purpose), self.episode)
 
     def lasting_stream(self, purpose: Purpose) -> Tensor:
-        """Return the state of what is drawn for the seed and holds in all episodes, int64, (E,)."""
+        """Return the random state of draws that hold in all episodes of a seed, int64, (E,)."""
         return counted_state(self._environments(purpose), 0)
 
     def _environments(self, purpose: Purpose) -> Tensor:
-        """Return the state of seed, purpose and environment. The purpose comes first: where two episodes meet by chance in
+        """Return the random state of seed, purpose and environment. The purpose comes first: if two episodes meet by chance in
 
         one of 2^32 states, they do so for one purpose and differ in the others.
         """

@@ -1,10 +1,9 @@
-"""Rows that do not depend on how many there are.
+"""Row operations with bit-identical results at every batch size.
 
-On a CPU torch works on vectors of some elements at a time, and on what is left over at the end one by one: where the two have
-formulas of their own (``atan2``, ``pow``, ``sigmoid``, ``hypot``), a number may differ in its last bit by its place in a batch,
-and by where threads cut a large one. A matrix product sums in an order that depends on the number of rows. Arithmetic, short
-sums, ``exp``, ``sin`` and the like do not. Physics and control use what stands here; functions of others are given batches of
-whole vectors.
+On a CPU, torch computes whole vectors of elements, and the remainder one by one. If the two have different formulas
+(``atan2``, ``pow``, ``sigmoid``, ``hypot``), the last bit of a number depends on its place in a batch and on the split among
+threads. A matrix product sums in an order that depends on the number of rows. Arithmetic, short sums, ``exp`` and ``sin`` do
+not. Physics and control use this module; user functions get batches of whole vectors.
 Letters: E rows, K columns.
 """
 
@@ -16,24 +15,24 @@ import torch
 from torch import Tensor
 
 WHOLE_ROWS = 64
-"""Rows of a batch that are whole vectors whatever the width of a row: a vector has 16 float32 with AVX-512, loops take 4."""
+"""Number of rows that fill whole vectors at any row width: a vector has 16 float32 with AVX-512, and loops take 4."""
 
 Result = TypeVar("Result", Tensor, tuple[Tensor, ...])
 
 MOST_TERMS = 8
-"""Terms up to which a product of rows on a GPU is written out."""
+"""Largest number of terms of an unrolled product of rows on a GPU."""
 
 
 def atan2(y: Tensor, x: Tensor) -> Tensor:
-    """Return ``torch.atan2``, which takes elements one by one, wherever they stand, where they are not neighbours in memory."""
+    """Return ``torch.atan2`` of strided elements, which torch always computes one by one."""
     y, x = torch.stack((y, x), dim=-1).unbind(-1)
     return torch.atan2(y, x)
 
 
 def times(rows: Tensor, matrix: Tensor) -> Tensor:
-    """Return ``rows @ matrix``, (E, N), of (E, K) and (K, N); on a CPU in blocks of ``WHOLE_ROWS``, one product for each.
+    """Return ``rows @ matrix``, (E, N), of (E, K) and (K, N); on a CPU one product for each block of ``WHOLE_ROWS``.
 
-    Where operations are watched, to be made into a kernel of rows, it is written out: blocks mix rows.
+    In a trace for a row kernel it is unrolled, because blocks mix rows.
     """
     watched = torch._C._len_torch_dispatch_stack() > 0
     if rows.device.type == "cpu" and not watched:
@@ -50,14 +49,12 @@ def times(rows: Tensor, matrix: Tensor) -> Tensor:
 
 
 def on_whole_vectors(function: Callable[..., Result], num_rows: int, device: torch.device) -> Callable[..., Result]:
-    """Return a function of tensors that gives each row the same result in every batch, bit for bit.
+    """Return the function with bit-identical results of each row in every batch.
 
-    On a CPU, where ``num_rows`` is not a multiple of ``WHOLE_ROWS``, the last row is repeated until it is; elsewhere it is
-    the function itself.
+    On a CPU the last row is repeated up to a multiple of ``WHOLE_ROWS``; elsewhere the function is unchanged.
 
     Args:
-        function: Of tensors, most of them (E, ...), to tensors (E, ...); row i of what it returns follows from rows i alone.
-        device: Where the tensors are.
+        function: Function of tensors, most of them (E, ...), to tensors (E, ...); row i of a result depends on rows i only.
     """
     missing = -num_rows % WHOLE_ROWS
     if device.type != "cpu" or not missing:

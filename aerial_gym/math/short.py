@@ -15,7 +15,7 @@ def dot(a: Tensor, b: Tensor) -> Tensor:
 
 
 def inverse_3x3(matrix: Tensor) -> Tensor:
-    """Return the inverse of regular matrices, (..., 3, 3): the adjugate over the determinant; no factorisation that waits."""
+    """Return the inverse of regular matrices, (..., 3, 3), as adjugate over determinant, without a blocking factorisation."""
     a, b, c = matrix.unbind(-2)
     columns = (torch.linalg.cross(b, c, dim=-1), torch.linalg.cross(c, a, dim=-1), torch.linalg.cross(a, b, dim=-1))
     determinant = dot(a, columns[0])

@@ -1,4 +1,4 @@
-"""Warp functions of vectors and quaternions that every kernel shares: roots, rotations, small solves, aligned memory.
+"""Warp functions of vectors and quaternions for all kernels: roots, rotations, small linear systems, aligned memory.
 
 The quaternion functions equal those of ``math.quaternion`` on one row; that module gives the sources.
 Quaternions are xyzw, unit, body to world; body is x forward, y left, z up; world is z up.
@@ -14,7 +14,7 @@ def vector_type(length: int) -> Any:
     return wp.types.vector(length=length, dtype=wp.float32)
 
 
-# A correctly rounded root or quotient takes some ten or twenty instructions and a branch on a GPU; these are one, with a
+# A correctly rounded root or quotient takes ten to twenty instructions and a branch on a GPU; each of these takes one, with a
 # relative error of at most 2^-22.9 (PTX ISA 8.5, ``sqrt.approx``, ``rsqrt.approx`` and ``rcp.approx``).
 _ROOT = """
 #if defined(__CUDA_ARCH__)
@@ -59,7 +59,7 @@ def unit(v: wp.vec3) -> wp.vec3:
 
 @wp.func
 def unit_quat(q: wp.quat) -> wp.quat:
-    """Return ``q / |q|``; a quaternion of zeros or NaN gives NaN as in torch, so that its row is named and ends."""
+    """Return ``q / |q|``; zeros or NaN give NaN as in torch, so that the episode of that row ends."""
     return inverse_root(wp.dot(q, q)) * q
 
 
@@ -158,7 +158,7 @@ def euler_angles(q: wp.quat) -> wp.vec3:
 
 @wp.func(inline=False)
 def large_turn(rotation: wp.vec3, square: float) -> wp.quat:
-    """Return the quaternion of any rotation vector [rad]. It is a call, so that its registers and instructions stand apart."""
+    """Return the quaternion of any rotation vector [rad], as a separate call to save registers."""
     half = wp.sqrt(square)
     sine = 0.5 * wp.sin(half) / half
     return wp.quat(sine * rotation[0], sine * rotation[1], sine * rotation[2], wp.cos(half))
@@ -166,7 +166,7 @@ def large_turn(rotation: wp.vec3, square: float) -> wp.quat:
 
 @wp.func
 def rotation_matrix(q: wp.quat) -> wp.mat33:
-    """Return R(q), body to world: ``rotate`` as a matrix (``wp.quat_to_matrix`` differs from it where q is not unit)."""
+    """Return R(q), body to world: ``rotate`` as a matrix (``wp.quat_to_matrix`` differs for q that is not unit)."""
     return wp.matrix_from_cols(
         rotate(q, wp.vec3(1.0, 0.0, 0.0)), rotate(q, wp.vec3(0.0, 1.0, 0.0)), rotate(q, wp.vec3(0.0, 0.0, 1.0))
     )
@@ -176,7 +176,7 @@ def rotation_matrix(q: wp.quat) -> wp.mat33:
 def small_turn(rotation: wp.vec3) -> wp.quat:
     """Return the quaternion of a rotation vector [rad], ``(sin(x/2)/x r, cos(x/2))``.
 
-    Up to a turn of 1 rad in one step the series are exact in float32 (next terms 1e-8); beyond it the functions are called.
+    Up to 1 rad the series are exact in float32 (next terms 1e-8); beyond it ``large_turn`` is called.
     """
     square = 0.25 * wp.dot(rotation, rotation)
     if square > 0.25:
@@ -192,8 +192,8 @@ def attitude_rate(q: wp.quat, ang_vel: wp.vec3) -> wp.quat:
     return 0.5 * (q * wp.quat(ang_vel[0], ang_vel[1], ang_vel[2], 0.0))
 
 
-# A vector of four numbers in memory is four loads of 4 bytes to the compiler, and four stores that each fill a quarter of a
-# sector. These tell it that the address is aligned to 16 bytes (``WarpBackend`` checks that).
+# The compiler splits a vector of four numbers into four loads or stores of 4 bytes. These functions state that the address is
+# aligned to 16 bytes (``WarpBackend`` checks that).
 _LOAD = """
 #if defined(__CUDA_ARCH__)
     const float4 v = *reinterpret_cast<const float4*>(source.data + i);

@@ -1,6 +1,6 @@
-"""Pure torch functions of rows, run as one Warp kernel: traced once, without torch's compiler and its long start.
+"""Row functions: pure torch functions of rows, traced once and run as one Warp kernel, without torch's compiler.
 
-``tracing.py`` records what a function does to one row, ``source.py`` writes that as Warp code, ``function.py`` launches it.
+``tracing.py`` records the operations on one row, ``source.py`` writes them as Warp code, ``function.py`` launches the kernel.
 """
 
 from typing import TYPE_CHECKING

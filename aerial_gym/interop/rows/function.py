@@ -1,4 +1,4 @@
-"""A pure torch function of rows as one launch.
+"""A pure torch function of rows as one kernel launch.
 
 Letters: E rows.
 """
@@ -18,12 +18,12 @@ from aerial_gym.interop.rows.tracing import trace
 from aerial_gym.interop.streams import BLOCK_DIM, start_warp
 
 _kernels: dict[str, wp.Kernel] = {}
-"""By source: two functions that do the same share a kernel."""
+"""Kernels by source; equal functions share a kernel."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Made:
-    """An input that the kernel makes for itself in each of its rows: straight lines, so that its numbers come side by side."""
+    """An input that the kernel computes in each row, by straight-line code."""
 
     lines: tuple[str, ...]  # Warp code that makes the numbers `made_0`, `made_1`, ... of `row` from `given`
     names: Mapping[str, Any]  # What it calls by name, besides `wp`
@@ -33,7 +33,7 @@ class Made:
 
 @dataclass(frozen=True, kw_only=True)
 class RowWork:
-    """What can be done to a row by a thread of its own, in whatever kernel."""
+    """Work on a row by a separate thread of any kernel."""
 
     function: wp.Function  # `wp.func` (row: int, given: the struct)
     given_type: Any  # The `wp.struct`
@@ -41,7 +41,7 @@ class RowWork:
 
 
 class RowFunction:
-    """Does what a torch function does to every row, in one Warp kernel; no gradients flow through it."""
+    """A torch function applied to every row in one Warp kernel, without gradients."""
 
     def __init__(
         self,
@@ -54,22 +54,21 @@ class RowFunction:
         lifts: bool = False,
         fresh: bool = False,
     ) -> None:
-        """Trace the function and write its kernel, which is compiled at the first call.
+        """Trace the function and write its kernel; the first call compiles it.
 
         Args:
-            function: Pure; takes tensors, returns tensors of E rows. It is traced once: numbers that it reads from elsewhere
-                are those of this moment.
-            inputs: What it will be called with, or tensors of the same shapes and types: (E, ...), or of any other first
-                dimension for what all rows share.
-            masked: Whether calls give a mask: other rows are then neither computed nor written.
-            made: The first of the inputs, where the kernel makes it; calls leave it unread.
-            beside: What other threads of the launch do to the same rows of the mask meanwhile; neither reads what the other
-                writes.
-            lifts: Whether the function may take tensors (E, ...) from elsewhere, which must keep their places.
-            fresh: Whether its inputs are others at every call, contiguous; without mask, ``made`` and ``beside``.
+            function: Pure function from tensors to tensors of E rows. It is traced once, so that numbers from elsewhere become
+                constants.
+            inputs: Example inputs of the right shapes and types: (E, ...), or another first dimension for tensors that all
+                rows share.
+            masked: Whether calls give a mask; other rows are then neither computed nor written.
+            made: The first input, if the kernel computes it; calls ignore theirs.
+            beside: Work of other threads on the same masked rows; neither reads the other's results.
+            lifts: Whether the function may read tensors (E, ...) from elsewhere, which must keep their memory.
+            fresh: Whether every call has new contiguous inputs; excludes a mask, ``made`` and ``beside``.
 
         Raises:
-            UntraceableError: If it cannot be done row by row; the text says why.
+            UntraceableError: If it cannot be computed row by row; the text states the reason.
         """
         start_warp()
         traced = trace(function, inputs, lifts=lifts)
@@ -78,7 +77,9 @@ class RowFunction:
         source = write(traced, masked=masked, made=() if made is None else made.lines, beside=beside is not None)
         self._given = [each.given for each in (beside, made) if each is not None]
         self._threads = 1 if beside is None else 2
-        self._block_dim = self._threads * BLOCK_DIM  # as many blocks, most of which leave at once (measured on an H200)
+        self._block_dim = (
+            self._threads * BLOCK_DIM
+        )  # equally many blocks, most of which exit at once (measured on an H200)
         self.code = source.code
         """The kernel."""
         self._inputs, self._shared = source.inputs, source.shared
@@ -95,12 +96,12 @@ class RowFunction:
     def __call__(
         self, *inputs: Tensor, out: Sequence[Tensor | None] = (), mask: Tensor | None = None
     ) -> tuple[Tensor, ...]:
-        """Return the results; launched on torch's current stream, not waited for.
+        """Launch on torch's current stream, and return the results without waiting.
 
         Args:
-            inputs: As at construction. Tensors that stay the same objects from call to call cost nothing more.
-            out: Receives the results, where given; new tensors are made for the others. An input may be an output.
-            mask: Rows to compute, bool (E,); given exactly if the function is masked, and then with all of ``out``.
+            inputs: As at construction. Tensors that are the same objects in all calls cost nothing more.
+            out: Memory for results; new tensors are allocated for missing ones. An input may be an output.
+            mask: Rows to compute, bool (E,); required with all of ``out`` if the function is masked, else forbidden.
         """
         first = next(tensor for tensor in inputs if tensor.ndim)
         rows, device = first.shape[0], first.device
@@ -125,7 +126,7 @@ class RowFunction:
         return tuple(results)
 
     def _wait(self, device: torch.device) -> wp.Device:
-        """Return the device as Warp knows it, on which the kernel is ready."""
+        """Wait for the kernel on a device, and return the Warp device."""
         target = wp.device_from_torch(device)
         if not self._ready:
             wait_for(self.kernel, target, block_dim=self._block_dim)
@@ -133,7 +134,7 @@ class RowFunction:
         return target
 
     def _launch(self, tensors: Sequence[Tensor], rows: int) -> None:
-        """Launch on tensors that are others at every call, but of the same shapes: only where they begin is told."""
+        """Launch on new tensors of the same shapes; only their addresses are passed."""
         if self._recorded is None or self._recorded[0] != rows:
             shared = [i in self._shared for i in self._inputs] + [False] * len(self.outputs)
             arrays = [_as_rows(tensor, shared=same) for tensor, same in zip(tensors, shared, strict=True)]
@@ -157,9 +158,9 @@ class RowFunction:
 
 
 def _as_rows(tensor: Tensor, *, shared: bool = False, passing: bool = False) -> wp.array:
-    """Return the tensor as Warp sees it: (E, n), or (n,) where all rows share it. Nothing is copied.
+    """Return a Warp view of a tensor: (E, n), or (n,) if all rows share it, without a copy.
 
-    What is ``passing``, for one launch, is described to Warp alone, which is faster.
+    A ``passing`` view, for one launch, skips the registration of memory, which is faster.
     """
     kind = getattr(wp, WARP_TYPES[tensor.dtype])
     view = tensor.view(-1) if shared else tensor.view(tensor.shape[0], -1)
@@ -167,7 +168,7 @@ def _as_rows(tensor: Tensor, *, shared: bool = False, passing: bool = False) -> 
 
 
 def _kernel(code: str, names: dict[str, Any], made: Made | None, beside: RowWork | None) -> wp.Kernel:
-    """Return the kernel of a source; the same in every process, so that Warp finds it in its cache."""
+    """Return the kernel of a source, with the same name in every process, so that Warp's cache finds it."""
     more: dict[str, Any] = {}
     if made is not None:
         more |= {"given_type": made.given_type, **made.names}

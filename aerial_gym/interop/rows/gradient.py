@@ -1,6 +1,6 @@
-"""A pure torch function of rows with its gradient: one launch forward and one back, in place of torch's many.
+"""A pure torch function of rows with its gradient: one launch forward and one backward, in place of torch's many.
 
-The way back is traced as the way forward is, with torch's own formulas: it computes anew, in registers, what they need of it.
+The backward pass is traced like the forward pass, with torch's own formulas. It recomputes their intermediates in registers.
 Letters: E rows.
 """
 
@@ -14,7 +14,7 @@ from aerial_gym.interop.rows.function import RowFunction
 
 
 class DifferentiableRows:
-    """Does what a torch function does to every row, in one Warp kernel, and its gradient in another."""
+    """A torch function applied to every row in one Warp kernel, with its gradient in another."""
 
     def __init__(
         self,
@@ -24,20 +24,19 @@ class DifferentiableRows:
         lifts: bool = False,
         has_gradient: Callable[[int], bool] = lambda _: True,
     ) -> None:
-        """Trace the function and its gradient with respect to all inputs of floats.
+        """Trace the function and its gradient with respect to all float inputs.
 
-        A result that a loss does not use counts with slopes of 0: where its own are not finite, NaN comes of it.
+        A result that a loss ignores has a gradient of 0; if its derivatives are not finite, the product is NaN.
 
         Args:
-            function: Pure; takes tensors, returns tensors of E rows. It is traced once.
-            inputs: What it will be called with, or tensors of the same shapes and types, (E, ...) or shared by all rows; these
-                have no gradient.
-            lifts: Whether the function may take tensors (E, ...) from elsewhere, which must keep their places; they have no
+            function: Pure function from tensors to tensors of E rows, traced once.
+            inputs: Example inputs of the right shapes and types, (E, ...) or shared by all rows; shared ones have no gradient.
+            lifts: Whether the function may read tensors (E, ...) from elsewhere, which must keep their memory; they have no
                 gradient.
-            has_gradient: Whether the result at a place has one; asked when the function was called once. Only floats have.
+            has_gradient: Whether the result of an index has a gradient; called after one call of the function.
 
         Raises:
-            UntraceableError: If it, or its gradient, cannot be done row by row; the text says why.
+            UntraceableError: If the function or its gradient cannot be computed row by row; the text states the reason.
         """
         rows = next(tensor.shape[0] for tensor in inputs if tensor.ndim)
         wanted = [i for i, tensor in enumerate(inputs) if tensor.is_floating_point() and tensor.shape[:1] == (rows,)]
@@ -51,7 +50,7 @@ class DifferentiableRows:
         self._num_inputs, self._wanted, self._pulled = len(inputs), wanted, pulled
 
     def __call__(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        """Return the results, with their gradients; launched on torch's current stream, not waited for."""
+        """Launch on torch's current stream, and return the differentiable results without waiting."""
         return _Rows.apply(self, *inputs)
 
 
@@ -86,7 +85,7 @@ class _Rows(torch.autograd.Function):
         ctx.rows = rows
         ctx.save_for_backward(
             *inputs, *rows._back.lifted
-        )  # torch refuses to go back where these were written meanwhile
+        )  # torch refuses the backward pass if these were written since
         ctx.mark_non_differentiable(*(result for i, result in enumerate(results) if i not in rows._pulled))
         return results
 

@@ -1,4 +1,4 @@
-"""Rows that follow from other rows, written where a mask says so.
+"""Masked update of rows from other rows.
 
 Letters: E rows.
 """
@@ -13,9 +13,9 @@ from aerial_gym.interop.rows.tracing import UntraceableError
 
 
 class MaskedRows:
-    """Writes what a function makes of some tensors into others: one launch that touches the rows of the mask alone.
+    """Update of target tensors from source tensors by a row function, in one launch on masked rows only.
 
-    What cannot be traced runs as plain torch, on all rows, and is written by the mask: as right, but dearer.
+    An untraceable function runs as plain torch on all rows and is written by the mask: correct, but slower.
     """
 
     def __init__(
@@ -29,15 +29,15 @@ class MaskedRows:
         beside: RowWork,
         plain: Callable[..., tuple[Tensor, ...]] | None = None,
     ) -> None:
-        """Take fixed tensors.
+        """Record the launch for fixed tensors.
 
         Args:
-            sources: What it takes, (E, ...).
-            targets: Where what it returns is written, (E, ...).
+            sources: Inputs of the function, (E, ...).
+            targets: Memory for its results, (E, ...).
             mask: Rows to write, bool, (E,); read at every call.
-            made: How the first of the sources is made, and written, in such a row before all.
-            beside: What is done to such a row besides; neither reads what the other writes.
-            plain: The same function, called where the other cannot be traced; it may read tensors from elsewhere.
+            made: Computation of the first source, which comes first in each masked row and is written.
+            beside: Further work on each masked row; neither reads the other's results.
+            plain: The same function for untraceable cases; it may read tensors from elsewhere.
         """
         self._function, self._sources, self._targets = plain or function, list(sources), list(targets)
         self._written = [sources[0], *targets]
@@ -54,7 +54,7 @@ class MaskedRows:
             self._alone = RowFunction(lambda source: source, sources[:1], masked=True, made=made, beside=beside)
 
     def __call__(self) -> None:
-        """Write the rows of the mask; launched on torch's current stream, not waited for."""
+        """Launch the update of masked rows on torch's current stream."""
         if self._rows is not None:
             self._rows(*self._sources, out=self._written, mask=self._mask)
             return
@@ -64,6 +64,6 @@ class MaskedRows:
                 target.copy_(torch.where(self._mask.view(-1, *[1] * (target.ndim - 1)), rows, target))
 
     def mark_written(self) -> None:
-        """Tell torch that a kernel wrote the rows: a graph that reads the old ones then refuses to go back."""
+        """Mark the targets as modified for torch, so that a backward pass through old values raises an error."""
         for target in self._targets:
             target.add_(0.0)

@@ -1,6 +1,6 @@
-"""The torch operations that fit into a row kernel, by the name of their ``aten`` overload packet.
+"""Supported torch operations of row kernels, by the names of their ``aten`` overload packets.
 
-A pointwise operation is a template of Warp code over its arguments; NaN goes through every one as it does in torch.
+A pointwise operation is a template of Warp code over its arguments, with torch's propagation of NaN.
 """
 
 from collections.abc import Callable, Sequence
@@ -80,7 +80,7 @@ CODE = {
         for name in ["abs", "sqrt", "exp", "log", "sin", "cos", "tan", "atan", "sinh", "cosh", "tanh"]
     },
     **{name: f"wp.{name}({{0}})" for name in ("floor", "ceil")},
-    # Warp's own limit the argument to -1..1 and make a number of NaN
+    # Warp's own clamp the argument to -1..1 and turn NaN into a number
     **{name: f"wp.where(wp.abs({{0}}) <= 1.0, wp.{name}({{0}}), wp.nan)" for name in ("asin", "acos")},
     "round": "wp.rint({0})",
     "atan2": "wp.atan2({0}, {1})",
@@ -115,7 +115,7 @@ COMPOSED: dict[str, Callable[..., Tensor]] = {
     "sigmoid_backward": lambda slope, result: slope * (1.0 - result) * result,
     "threshold_backward": lambda slope, a, limit: torch.where(a <= limit, 0.0, slope),
 }
-"""Operations that are made of others."""
+"""Operations composed of others."""
 
 INTO_ZEROS: dict[str, Callable[..., Tensor]] = {
     "select_backward": lambda zeros, dim, index: zeros.select(dim, index),
@@ -123,20 +123,20 @@ INTO_ZEROS: dict[str, Callable[..., Tensor]] = {
         (slice(None),) * (dim % zeros.ndim) + (slice(start, end, step),)
     ],
 }
-"""Gradients of operations that move elements: where in zeros they stand."""
+"""Gradients of operations that move elements, as assignments into zeros."""
 
 IN_PLACE: dict[str, Callable[..., Tensor]] = {
     "masked_fill_": torch.masked_fill,
     "logical_and_": torch.logical_and,
 }
-"""What gradients do in place, to tensors of their own, and what does the same to new ones."""
+"""In-place operations of gradients, with their out-of-place equivalents."""
 
 Arguments = Callable[[tuple[Any, ...], dict[str, Any]], tuple[Any, ...]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pointwise:
-    """How an operation on tensors is one on scalars."""
+    """Scalar form of an operation on tensors."""
 
     make: Callable[["Trace", tuple[int, ...], torch.dtype], int]  # From scalars of the arguments to that of the result
     arguments: Arguments = lambda args, kwargs: args  # Its tensor and number arguments, in order
@@ -261,12 +261,12 @@ POINTWISE: dict[str, Pointwise] = {
         for name, value in (("zeros_like", 0.0), ("ones_like", 1.0), ("new_zeros", 0.0), ("new_ones", 1.0))
     },
 }
-"""Operations on each element by itself."""
+"""Elementwise operations."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reduction:
-    """An operation that makes one element out of several of a row."""
+    """A reduction of several elements of a row to one."""
 
     make: Callable[["Trace", Sequence[int], torch.dtype, tuple[Any, ...], dict[str, Any]], int]
     """From the scalars to the one of the result."""
@@ -275,7 +275,7 @@ class Reduction:
     """Position of the argument ``dim``."""
 
     def dims(self, args: tuple[Any, ...], kwargs: dict[str, Any], ndim: int) -> tuple[set[int], bool]:
-        """Return over which dimensions it goes, and whether they stay with one entry."""
+        """Return the reduced dimensions, and whether they are kept with one entry."""
         at = self.dim_at
         dim = args[at] if len(args) > at else kwargs.get("dim")
         keep = args[at + 1] if len(args) > at + 1 else kwargs.get("keepdim", False)
@@ -318,4 +318,4 @@ REDUCTIONS: dict[str, Reduction] = {
     "mean": Reduction(make=_mean),
     "linalg_vector_norm": Reduction(make=_norm, dim_at=2),
 }
-"""Operations over the entries of a row."""
+"""Reductions over the entries of a row."""

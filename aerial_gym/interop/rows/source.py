@@ -1,4 +1,4 @@
-"""A trace as the source of a Warp kernel: one thread per row, every number in a register."""
+"""Source code of the Warp kernel of a trace: one thread per row, every number in a register."""
 
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, field
@@ -24,7 +24,7 @@ WARP_TYPES = {
 
 @dataclass(frozen=True, kw_only=True)
 class KernelSource:
-    """A kernel ``rows`` and which inputs it takes."""
+    """Source of a kernel ``rows``, and its inputs."""
 
     code: str
     shared: frozenset[int]  # Positions of those that all rows share
@@ -33,13 +33,13 @@ class KernelSource:
 
 
 def write(trace: Trace, *, masked: bool = False, made: Sequence[str] = (), beside: bool = False) -> KernelSource:
-    """Return the kernel that does what was traced.
+    """Write the kernel of a trace.
 
     Args:
-        masked: Whether it takes a mask first and does nothing in other rows.
-        made: Lines that make ``made_0``, ``made_1``, ... in place of the first input, of ``given``: ``given_type``.
-        beside: Whether it is launched with twice as many threads as rows, the later ones of which call ``beside(row, other)``,
-            of ``other``: ``beside_type``. Only with a mask, which tells how many rows there are.
+        masked: Whether its first argument is a mask, whose other rows are skipped.
+        made: Lines that compute ``made_0``, ``made_1``, ... in place of the first input, from ``given``: ``given_type``.
+        beside: Whether it runs with twice as many threads as rows; the second half calls ``beside(row, other)`` with
+            ``other``: ``beside_type``. Only with a mask, whose length is the number of rows.
     """
     needed = _needed(trace)
     kinds = {int(scalar.args[0]): scalar for n in needed if (scalar := trace.scalars[n]).kind in ("input", "shared")}
@@ -86,7 +86,7 @@ _BESIDE = """\
 
 
 def _needed(trace: Trace) -> list[int]:
-    """Return the scalars on which outputs depend, in order."""
+    """Return the indices of scalars on which outputs depend, in order."""
     found: set[int] = set()
     ahead = [n for numbers, _, _ in trace.outputs for n in numbers]
     while ahead:
@@ -122,7 +122,7 @@ def _code(scalar: Scalar, together: Container[object] = (), *, made: bool = Fals
     if scalar.kind == "cast":
         return f"wp.{WARP_TYPES[scalar.dtype]}({names[0]})"
     if scalar.kind in ("minimum", "maximum") and scalar.dtype in (torch.int32, torch.int64):
-        return f"wp.{scalar.kind[:3]}({names[0]}, {names[1]})"  # no integer is NaN, and a compiler says so
+        return f"wp.{scalar.kind[:3]}({names[0]}, {names[1]})"  # avoids compiler warnings of NaN checks on integers
     code = CODE[scalar.kind].format(*names)
     if scalar.dtype == torch.float64:
         code = (

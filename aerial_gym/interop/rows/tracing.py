@@ -1,8 +1,8 @@
-"""What a pure torch function does to one row, as a list of scalar operations.
+"""Trace of a pure torch function on one row, as a list of scalar operations.
 
-The function is called once, on zeros, while it is noted for every element which scalar it is. Operations that only move
-elements (slices, ``cat``, ``stack``, ``expand``, ...) are done on the numbers of those scalars by torch itself; all others
-add scalars, each only once.
+The function is called once on zeros, with a record of each element's scalar. Torch itself applies operations that only move
+elements (slices, ``cat``, ``stack``, ``expand``, ...) to the numbers of those scalars. All others add scalars, each only
+once.
 Letters: B rows of the trace.
 """
 
@@ -24,23 +24,23 @@ from aerial_gym.interop.rows.operations import COMPOSED, IN_PLACE, INTO_ZEROS, M
 Array = NDArray[np.int64]
 
 ROWS = 97
-"""Rows of the trace, B: a prime number that is no other size."""
+"""Number of rows of the trace, B: a prime that equals no other size."""
 
 LARGEST_ROW = 512
-"""Most entries that a row of an input may have: each becomes a variable of the kernel."""
+"""Largest number of entries in a row of an input; each becomes a variable of the kernel."""
 
 
 _MARK = 1 << 32
-"""Row b adds (b + 1) times this to the numbers of its scalars: an operation that mixes rows shows."""
+"""Row b adds (b + 1) times this to the numbers of its scalars, which exposes operations that mix rows."""
 
 
 class UntraceableError(Exception):
-    """The function does something that is not the same small computation in every row; the text says what."""
+    """The function is not the same small computation in every row; the text states the reason."""
 
 
 @dataclass(frozen=True)
 class Scalar:
-    """One number of a row: what makes it, from which others."""
+    """One number of a row: its operation and arguments."""
 
     kind: str
     """``input`` (of a row), ``shared`` (one for all rows), ``constant``, or the name of an operation."""
@@ -53,7 +53,7 @@ class Scalar:
 
 @dataclass
 class Trace:
-    """All scalars of a function, in an order in which each needs only earlier ones."""
+    """All scalars of a function, each after its arguments."""
 
     scalars: list[Scalar] = field(default_factory=list)
     outputs: list[tuple[list[int], tuple[int, ...], torch.dtype]] = field(default_factory=list)
@@ -68,7 +68,7 @@ class Trace:
     _numbers: dict[tuple[str, str | tuple[Any, ...], torch.dtype], int] = field(default_factory=dict)
 
     def number(self, kind: str, args: tuple[Any, ...], dtype: torch.dtype) -> int:
-        """Return the number of a scalar, a new one if there is none like it."""
+        """Return the number of a scalar; equal scalars share one."""
         key = (kind, repr(args) if kind == "constant" else args, dtype)  # 0.0 is not -0.0
         known = self._numbers.get(key)
         if known is None:
@@ -77,23 +77,23 @@ class Trace:
         return known
 
     def cast(self, number: int, dtype: torch.dtype) -> int:
-        """Return the scalar as another type."""
+        """Return a scalar converted to another type."""
         return number if self.scalars[number].dtype == dtype else self.number("cast", (number,), dtype)
 
 
 def trace(
     function: Callable[..., Tensor | tuple[Tensor, ...]], inputs: Sequence[Tensor], *, lifts: bool = False
 ) -> Trace:
-    """Return what ``function`` does to one row.
+    """Trace a function on one row.
 
     Args:
-        function: Pure, of tensors; returns tensors of rows. No branch on a tensor.
-        inputs: Tensors (E, ...), E being the first dimension of the first that has one; others are shared by all rows. A row
-            of more than ``LARGEST_ROW`` entries, an image, may be passed but not read.
-        lifts: Whether tensors (E, ...) that the function takes from elsewhere become inputs as well; else they are refused.
+        function: Pure function of tensors that returns tensors of rows, without branches on tensors.
+        inputs: Tensors (E, ...), with E from the first that has a dimension; others are shared by all rows. A row of more
+            than ``LARGEST_ROW`` entries, such as an image, may be passed but not read.
+        lifts: Whether tensors (E, ...) from elsewhere become inputs; else they are refused.
 
     Raises:
-        UntraceableError: If it cannot be done row by row with the operations of ``operations.py``.
+        UntraceableError: If it cannot be computed row by row with the operations of ``operations.py``.
     """
     into = Trace()
     watch = _Watch(into)
@@ -117,33 +117,33 @@ def trace(
 
 
 class _Scalars:
-    """The scalars of a tensor, by their numbers."""
+    """Numbers of the scalars of a tensor."""
 
     def __init__(self, one: Array, *, rows: bool, marked: bool = True, numbers: Tensor | None = None) -> None:
-        """Take those of one row, or what all rows share.
+        """Store the numbers of one row, or of a shared tensor.
 
         Args:
-            one: The numbers, without the dimension of the rows.
-            rows: Whether they are those of one row.
-            marked: Whether each row is marked as its own; what is the same in all rows need not be.
-            numbers: Those of all rows, where they are known.
+            one: The numbers without the row dimension.
+            rows: Whether they belong to one row.
+            marked: Whether rows are marked; equal rows need no mark.
+            numbers: Numbers of all rows, if known.
         """
         self.one, self.rows, self._marked, self._all = one, rows, marked, numbers
 
     @classmethod
     def from_numbers(cls, numbers: Tensor) -> "_Scalars":
-        """Return what an operation that moves elements has made of the numbers of all rows.
+        """Return the scalars of numbers (B, ...) that an operation has moved.
 
         Raises:
-            UntraceableError: If a row does not have its own.
+            UntraceableError: If rows were mixed.
         """
         return cls(_unmarked(numbers), rows=numbers.shape[:1] == (ROWS,), numbers=numbers)
 
     @property
     def all(self) -> Tensor:
-        """Those of all rows, (B, ...), in every row the same but for the row's ``_MARK``; of any shape what is shared.
+        """Numbers of all rows, (B, ...), equal but for each row's ``_MARK``; any shape for shared tensors.
 
-        Made when they are asked for: most scalars are not moved.
+        They are computed on demand, because most scalars are never moved.
         """
         if self._all is None:
             self._all = torch.from_numpy(self.one)
@@ -158,16 +158,16 @@ class _Scalars:
         return self.one.ndim + self.rows
 
     def each(self, change: Callable[[int], int]) -> "_Scalars":
-        """Return what a function makes of each."""
+        """Apply a function to each number."""
         changed = [change(number) for number in self.one.ravel().tolist()]
         return _Scalars(np.array(changed, dtype=np.int64).reshape(self.one.shape), rows=self.rows)
 
 
 def _side_by_side(make: Callable[..., int], given: Sequence[_Scalars], shape: torch.Size) -> _Scalars:
-    """Return the scalars that ``make`` gives for those side by side, for a result of a shape.
+    """Broadcast scalars and combine them elementwise by ``make``, for a result of the given shape.
 
     Raises:
-        UntraceableError: If rows of one are beside what are no rows of another.
+        UntraceableError: If the row dimension of one meets another dimension.
     """
     rows, ndim = any(each.rows for each in given), max(each.ndim for each in given)
     ones = []
@@ -187,22 +187,22 @@ def _side_by_side(make: Callable[..., int], given: Sequence[_Scalars], shape: to
 
 
 class _Watch(TorchDispatchMode):
-    """Does every operation of torch, and notes what it does to the scalars of its arguments."""
+    """Dispatch mode that runs every torch operation and records its effect on scalars."""
 
     def __init__(self, into: Trace) -> None:
         super().__init__()
         self.into = into
-        # By id of a tensor that is kept; None: a constant, whose numbers may still change.
+        # by id of a kept tensor; None: a constant whose numbers may still change
         self._scalars: dict[int, tuple[Tensor, _Scalars | None]] = {}
         self._literals: dict[tuple[str, torch.dtype | None], tuple[_Scalars, torch.dtype]] = {}
         self._large: dict[int, tuple[Tensor, str]] = {}
 
     @classmethod
     def _should_skip_dynamo(cls) -> bool:
-        return False  # torch would import its whole compiler to be told that this is not to be compiled
+        return False  # else torch imports its whole compiler
 
     def input(self, position: int, tensor: Tensor, *, rows: bool) -> Tensor:
-        """Return zeros that stand for an input."""
+        """Return zeros as the placeholder of an input."""
         kind, shape = ("input", tensor.shape[1:]) if rows else ("shared", tensor.shape)
         first = (ROWS,) if rows else ()
         if shape.numel() > LARGEST_ROW:
@@ -215,7 +215,7 @@ class _Watch(TorchDispatchMode):
         return self._note(torch.zeros(first + tuple(shape), dtype=tensor.dtype), scalars)
 
     def knows(self, tensor: Tensor) -> bool:
-        """Return whether the tensor is an input or was made from inputs and constants."""
+        """Return whether the tensor is an input or results from inputs and constants."""
         return id(tensor) in self._scalars or id(tensor) in self._large
 
     def follows(self, tensor: Tensor) -> bool:
@@ -223,7 +223,7 @@ class _Watch(TorchDispatchMode):
         return self._scalars.get(id(tensor), (None, None))[1] is not None
 
     def scalars_of(self, value: Any, dtype: torch.dtype | None = None) -> _Scalars:
-        """Return the scalars, as a type, of a followed tensor, of one that is the same for all rows, or of a number."""
+        """Return the scalars of a traced tensor, a shared tensor or a number, converted to a type."""
         known = self._scalars.get(id(value), (None, None))[1] if isinstance(value, Tensor) else None
         if known is not None:
             scalars, given = known, value.dtype
@@ -253,7 +253,7 @@ class _Watch(TorchDispatchMode):
     def __torch_dispatch__(
         self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None
     ) -> Any:
-        """Do the operation on the tensors and on their scalars."""
+        """Run the operation on the tensors and on their scalars."""
         kwargs, name = kwargs or {}, func.overloadpacket.__name__
         tensors = [leaf for leaf in _leaves((args, kwargs)) if isinstance(leaf, Tensor)]
         for leaf in tensors:
@@ -272,11 +272,11 @@ class _Watch(TorchDispatchMode):
                 result = func.decompose(*args, **kwargs)
             if result is not NotImplemented:
                 return result
-            raise UntraceableError(f"torch.{name} is none of the operations that fit into a row kernel")
+            raise UntraceableError(f"torch.{name} is not a supported operation of row kernels")
         if torch.Tag.nondeterministic_seeded in func.tags:
             raise UntraceableError(f"torch.{name} draws random numbers")
         if "empty" in name:
-            raise UntraceableError(f"torch.{name}: whoever fills this memory is not seen")
+            raise UntraceableError(f"torch.{name}: writes to this memory cannot be traced")
         result = func(*args, **kwargs)
         if not follows:
             return _mapped(result, lambda leaf: self._note(leaf, None) if isinstance(leaf, Tensor) else leaf)
@@ -295,7 +295,7 @@ class _Watch(TorchDispatchMode):
         return tensor
 
     def _moved(self, func: Any, args: Any, kwargs: Any, result: Any) -> Any:
-        """Do what only moves elements on the scalars' numbers; ``constant_pad_nd`` also brings a constant."""
+        """Apply an operation that only moves elements to the numbers; ``constant_pad_nd`` adds a constant."""
         dtype = result[0].dtype if isinstance(result, (list, tuple)) else result.dtype
         if func.overloadpacket.__name__ == "constant_pad_nd":
             value = args[2] if len(args) > 2 else kwargs.get("value", 0.0)
@@ -306,7 +306,7 @@ class _Watch(TorchDispatchMode):
         )
 
     def _into_zeros(self, name: str, args: Any, result: Tensor) -> Tensor:
-        """Return zeros, some of which are what a slice or an entry of them was given."""
+        """Return zeros with a slice or an entry replaced by a gradient."""
         zero = self.into.number("constant", (torch.zeros((), dtype=result.dtype).item(),), result.dtype)
         numbers = torch.full(result.shape, zero, dtype=torch.int64)
         if result.shape[:1] == (ROWS,):
@@ -343,23 +343,23 @@ class _Watch(TorchDispatchMode):
 
 
 class _Elsewhere(TorchFunctionMode):
-    """Refuses tensors that the function takes from elsewhere, which may hold other numbers at the next call, or lifts them."""
+    """Function mode that refuses tensors from elsewhere, which may change between calls, or lifts them to inputs."""
 
     def __init__(self, watch: _Watch, num_inputs: int, num_rows: int | None) -> None:
-        """Take the number of inputs, and that of rows if tensors are lifted."""
+        """Store the number of inputs, and of rows if tensors are lifted."""
         super().__init__()
         self._watch, self._next, self._num_rows = watch, num_inputs, num_rows
-        self._lifted: dict[int, tuple[Tensor, Tensor]] = {}  # by id of a tensor that is kept: what stands for it
+        self._lifted: dict[int, tuple[Tensor, Tensor]] = {}  # placeholders by id of a kept tensor
 
     def __torch_function__(
         self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None
     ) -> Any:
-        """Do it."""
+        """Run the function with placeholders for external tensors."""
         args = _mapped(args, self._known)
         return func(*args, **{name: _mapped(value, self._known) for name, value in (kwargs or {}).items()})
 
     def _known(self, leaf: Any) -> Any:
-        """Return what stands for a tensor, and anything else as it is."""
+        """Return the placeholder of an external tensor; other values unchanged."""
         if not isinstance(leaf, Tensor) or self._watch.knows(leaf):
             return leaf
         if id(leaf) not in self._lifted:
@@ -379,12 +379,12 @@ class _Elsewhere(TorchFunctionMode):
 
 @cache
 def _marks(ndim: int) -> Tensor:
-    """Return the marks of all rows, for rows of so many dimensions."""
+    """Return the marks of all rows, with ``ndim`` further dimensions."""
     return _MARK * torch.arange(1, ROWS + 1).view(-1, *[1] * ndim)
 
 
 def _unmarked(numbers: Tensor) -> Array:
-    """Return the scalars of one row, or of what all rows share.
+    """Remove the marks: return the numbers of one row, or of a shared tensor.
 
     Raises:
         UntraceableError: If a row does not have its own.

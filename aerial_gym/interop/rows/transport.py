@@ -1,9 +1,9 @@
-"""Vectors of neighbouring rows, brought from and to memory by the 32 threads of a warp together.
+"""Coalesced reads and writes of neighbouring rows by the 32 threads of a warp.
 
-A thread that writes a row of 13 numbers by itself fills a few bytes of a sector of 32 at a time, and so do its neighbours: the
-memory takes each such piece for a whole one. Here the rows of a warp lie side by side in shared memory first, and its threads
-write them out in the order of addresses. Rows of four numbers need no such help: where they are aligned, one access of 16 bytes
-does. Which way a row takes changes none of its numbers. On a CPU rows are read and written plainly.
+A thread that writes a row of 13 numbers alone fills a few bytes of a 32-byte sector at a time, and each partial write costs a
+whole sector. Here the rows of a warp are staged in shared memory, and its threads write them in the order of addresses. Rows
+of four aligned numbers need one access of 16 bytes only. The path of a row never changes its numbers. On a CPU rows are read
+and written directly.
 
 All rows of a launch must be stored, one thread each, in a launch of one dimension.
 """
@@ -13,14 +13,14 @@ from typing import Any
 import warp as wp
 
 LARGEST = 128
-"""Most numbers of a row that is staged: with the 64 threads of a block they fill 33 KB of shared memory."""
+"""Largest width of a staged row: with the 64 threads of a block it fills 33 KB of shared memory."""
 
 MOST_STAGED = 180
-"""Most numbers of all staged rows of a kernel together, each row counted with an odd pitch: 46 KB of the 48 KB that a block may
-have. Rows beyond are written plainly."""
+"""Largest total width of all staged rows of a kernel, each with an odd pitch: 46 KB of a block's 48 KB. Further rows are
+written directly."""
 
 FEW = 8192
-"""Rows of a launch below which every thread writes its own: they do not fill an H200, and the staging only makes them wait."""
+"""Number of rows below which every thread writes its own: they do not fill an H200, and staging only delays them."""
 
 _STORE = """
     constexpr int count = sizeof(value) / 4, pitch = count | 1;  // odd: neighbouring rows begin in different banks
@@ -68,7 +68,7 @@ _LOAD_4 = """
 
 
 def _filled(snippet: str, *, inner: str, plain: str, kind: str = "") -> str:
-    """Return a snippet; ``inner`` is the distance of the numbers of a row [bytes], ``plain`` what does it anywhere."""
+    """Fill in a snippet: ``inner`` is the stride within a row [bytes], ``plain`` the portable code."""
     return snippet.replace("INNER", inner).replace("PLAIN", plain).replace("{KIND}", kind)
 
 
@@ -79,7 +79,7 @@ _EACH = "for (int i = 0; i < {}; ++i) "
     _filled(_STORE, inner="out.strides[1]", plain=_EACH.format("count") + "*wp::address(out, row, i) = value[i];")
 )
 def store_row(out: wp.array2d[wp.float32], row: int, value: Any):
-    """Write a row; the vector has as many numbers as a row."""
+    """Write a row; the vector has the width of a row."""
 
 
 @wp.func_native(_filled(_STORE, inner="4", plain="*wp::address(out, row) = value;"))
