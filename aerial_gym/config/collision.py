@@ -111,12 +111,12 @@ class CollisionCfg:
 
     @property
     def shapes(self) -> tuple[CollisionShape, ...]:
-        """All of them."""
+        """All shapes."""
         return (*self.spheres, *self.boxes, *self.capsules)
 
     @property
     def parts(self) -> tuple[PartCfg, ...]:
-        """All of them as shapes that can be seen, in the order of ``shapes``."""
+        """All shapes as visible parts, in the order of ``shapes``."""
         return tuple(_part_of(shape) for shape in self.shapes)
 
 

@@ -16,7 +16,7 @@ SIGNS = {
 
 
 def plain_letters(error: UnicodeError) -> tuple[str, int]:
-    """Return plain letters for what could not be encoded, and where to go on: an error handler of ``codecs``."""
+    """Return plain letters for unencodable characters and the next position, as an error handler of ``codecs``."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     missing = error.object[error.start : error.end]
@@ -29,7 +29,7 @@ def _without_marks(sign: str) -> str:
 
 
 def accept_any_console() -> None:
-    """Let stdout and stderr write plain letters for what their encoding lacks, in place of an exception."""
+    """Make stdout and stderr replace characters outside their encoding by plain letters."""
     codecs.register_error(PLAIN, plain_letters)
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)

@@ -44,5 +44,5 @@ class ContactCfg:
 
     @property
     def least_approach(self) -> float:
-        """Speed of approach from which a touch is a crash [m/s]; -inf where every touch is one, also a parting one."""
+        """Approach speed from which a touch is a crash [m/s]; -inf if every touch is one, even when separating."""
         return self.crash_speed if self.crash_speed > 0.0 else -inf

@@ -265,5 +265,5 @@ class ControllerCfg:
 
     @property
     def autopilot(self) -> str | None:
-        """Which of ``AUTOPILOTS`` it is; None if none."""
+        """Name of the autopilot in ``AUTOPILOTS``; None for other laws."""
         return next((name for name in AUTOPILOTS if getattr(self, name) is not None), None)

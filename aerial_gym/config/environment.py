@@ -223,7 +223,7 @@ class EnvironmentCfg:
 
     @property
     def ground(self) -> PartCfg | None:
-        """The ground as a part of the world; None where there is none."""
+        """The ground as a part of the scene; None without ground."""
         if self.ground_height is None:
             return None
         plane = ShapeCfg(kind="plane", color=self.ground_color, checker=self.ground_checker)

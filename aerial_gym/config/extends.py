@@ -78,7 +78,7 @@ def _merged(base: object, value: object, where: str) -> object:
 
 
 def _with_entries(base: list[object], value: Mapping[str, object], where: str) -> list[object]:
-    """Return a list of entries with names, of which a mapping says by name what differs."""
+    """Return a list of named entries with the changes of a mapping by name."""
     entries = {str(entry.get("name")): entry for entry in base if isinstance(entry, Mapping) and entry.get("name")}
     if len(entries) < len(base) or not base:
         raise ConfigError(f"{where}: entries of this list have no names in the base. Give the whole list")

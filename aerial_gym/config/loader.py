@@ -22,7 +22,7 @@ CONFIG_DIR = Path(__file__).parent
 
 
 def files_of(family: str) -> dict[str, Path]:
-    """Return the files of a family (a folder of ``CONFIG_DIR``) by name, whichever of its rooms they are in."""
+    """Return the files of a family (a folder of ``CONFIG_DIR``, with subfolders) by name."""
     found = sorted((CONFIG_DIR / family).rglob("*.yaml"), key=lambda path: path.stem)
     return {path.stem: path for path in found}
 
@@ -55,7 +55,7 @@ def read_yaml(path: str | Path) -> dict[str, object]:
 
 
 def _holds_itself(value: object, around: set[int], done: set[int]) -> bool:
-    """Return whether a list or mapping is in itself; ``around`` are those it is in, ``done`` those looked through."""
+    """Return whether a list or mapping contains itself; ``around`` holds its parents, ``done`` those already checked."""
     if not isinstance(value, (dict, list)) or id(value) in done:
         return False
     if id(value) in around:
@@ -143,7 +143,7 @@ def _plain(value: Any) -> Any:
 
 
 def convert(hint: Any, value: Any, where: str) -> Any:
-    """Return a value as a type hint says, as ``build`` takes it for a field; ``where`` stands in front of an error."""
+    """Return a value converted to a type hint; ``where`` is the prefix of errors."""
     if hint is object:
         return _any(value, where)
     origin, args = get_origin(hint), get_args(hint)
@@ -161,7 +161,7 @@ def convert(hint: Any, value: Any, where: str) -> Any:
 
 
 def _any(value: Any, where: str) -> Any:
-    """Return numbers, texts, truth values and lists of them, whatever they mean: whoever knows converts them."""
+    """Return numbers, texts, booleans and lists of them unconverted, for fields without a fixed type."""
     if isinstance(value, (list, tuple)):
         return tuple(_any(item, f"{where}[{i}]") for i, item in enumerate(value))
     if isinstance(value, (int, float)) and LARGEST_SINGLE < abs(value) < inf:

@@ -51,7 +51,7 @@ class NoiseCfg:
         return (self.std_a * distance + self.std_b) * distance + self.std_c
 
     def least_std_at(self, low: float, high: float) -> float:
-        """Return the distance [m] between two others at which the standard deviation is smallest."""
+        """Return the distance within an interval [m] with the smallest standard deviation."""
         vertex = -0.5 * self.std_b / self.std_a if self.std_a > 0.0 else low
         return min((low, high, min(max(vertex, low), high)), key=self.std)
 
@@ -125,19 +125,19 @@ class RangeSensorCfg(PlacementCfg, ImagesCfg):
 
     @property
     def active_noise(self) -> NoiseCfg | None:
-        """The noise to apply: None if there is none or it is switched off."""
+        """The active noise; None without noise or with noise off."""
         return self.noise if self.noise_enabled else None
 
     @property
     def far_pixel(self) -> float:
-        """What a pixel holds where nothing lies within ``max_range``: 1 when normalised, else -1, unless configured."""
+        """Pixel value without a hit within ``max_range``: 1 when normalised, else -1, unless configured."""
         default = self.max_range if self.normalize else -1.0
         value = default if self.far_out_of_range_value is None else self.far_out_of_range_value
         return value / self.max_range if self.normalize else value
 
     @property
     def distance_scale(self) -> tuple[float, float]:
-        """The largest distance in the unit of the image, and the share of it that stands for a pixel without a distance.
+        """Largest distance in the image's unit, and the share that represents a pixel without a distance.
 
         Where a sensor marks "too far" by a distance of its own, a pixel without a distance is near (0); where it marks far
         and near alike, nothing is known, and far (1) is by much the more frequent.
@@ -146,7 +146,7 @@ class RangeSensorCfg(PlacementCfg, ImagesCfg):
 
     @property
     def near_pixel(self) -> float:
-        """What a pixel holds where something is closer than ``min_range``: -1, unless configured."""
+        """Pixel value for a hit closer than ``min_range``: -1, unless configured."""
         default = -self.max_range if self.normalize else -1.0
         value = default if self.near_out_of_range_value is None else self.near_out_of_range_value
         return value / self.max_range if self.normalize else value

@@ -82,7 +82,7 @@ class BodyCfg:
 
 @dataclass(frozen=True, kw_only=True)
 class BatteryCfg:
-    """Voltage and capacity of the battery; only effects that depend on it need them."""
+    """Voltage, internal resistance and capacity of the battery; only effects that depend on it need them."""
 
     nominal_voltage: float
     """At which the rotors reach the commanded speeds [V], > 0."""
@@ -272,7 +272,7 @@ class RobotCfg:
 
     @property
     def rotor_traits(self) -> frozenset[str]:
-        """What some of its rotors have beyond a plain speed: names of ``ROTOR_TRAITS``."""
+        """Special features of its rotors, names of ``ROTOR_TRAITS``."""
         return frozenset().union(*(rotor.traits for rotor in self.rotor_types))
 
     def the_rotor(self, purpose: str) -> RotorCfg:
@@ -285,7 +285,7 @@ class RobotCfg:
 
     @property
     def seen_parts(self) -> tuple[PartCfg, ...]:
-        """What sensors see of it, in the frames of its links; nothing unless it is visible."""
+        """Visible shapes of the robot, in the frames of its links; none unless it is visible."""
         parts = (self.visual or self.collision.parts) if self.visible else ()
         return tuple(replace(part, semantic_id=ROBOT_ID) if part.semantic_id is None else part for part in parts)
 
@@ -351,7 +351,7 @@ def load_robot(path: str | Path) -> RobotCfg:
 
 
 def _located(cfg: RobotCfg, folder: Path) -> RobotCfg:
-    """Return a robot whose files are found from anywhere; they stand relative to a folder."""
+    """Return a robot with absolute file paths; relative ones count from ``folder``."""
     parts = (replace(part, shape=absolute_paths(part.shape, folder)) for part in cfg.visual)
     sensors = (_absolute_sensor(sensor, folder) for sensor in cfg.sensors)
     imu = str(folder / cfg.imu) if cfg.imu is not None and is_file(cfg.imu) else cfg.imu

@@ -121,7 +121,7 @@ class RotorCfg:
 
     @property
     def traits(self) -> frozenset[str]:
-        """Which of ``ROTOR_TRAITS`` it has."""
+        """Special features of the rotor, names of ``ROTOR_TRAITS``."""
         has = {"reversible": self.reversible, "force": self.mode == "force", "slew": min(self.slew_rates) < inf}
         has["dead_band"] = self.dead_band > 0.0
         return frozenset(name for name, yes in has.items() if yes)
@@ -133,7 +133,7 @@ class RotorCfg:
         return up, up if self.slew_rate_down is None else self.slew_rate_down
 
     def speed_at(self, thrust: float) -> float:
-        """Return the state that gives a thrust [N]: the speed [rad/s], the larger root of its thrust map; or the thrust."""
+        """Return the rotor state for a thrust [N]: the speed [rad/s], the larger root of the thrust map; or the thrust."""
         if self.mode == "force":
             return thrust
         backwards = thrust < 0.0 and self.reversible

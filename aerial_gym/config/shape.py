@@ -206,7 +206,7 @@ class FamilyCfg:
 
 
 def absolute_paths(shape: ShapeCfg, folder: Path) -> ShapeCfg:
-    """Return a shape whose files, also those of its parts, are found from anywhere; they stand relative to a folder."""
+    """Return a shape with absolute file paths, also of its parts; relative ones count from a folder."""
     if shape.parts:
         parts = tuple(replace(part, shape=absolute_paths(part.shape, folder)) for part in shape.parts)
         return replace(shape, parts=parts)

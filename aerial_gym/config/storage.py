@@ -19,7 +19,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def write_whole(path: str | Path, content: bytes | str) -> None:
-    """Write a file so that at any moment, also after a crash, either the old or the new content is there.
+    """Write a file atomically: even after a crash it holds either the old or the new content.
 
     The content goes to a temporary file beside it, which is synced and then renamed.
 

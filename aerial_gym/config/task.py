@@ -223,12 +223,12 @@ class TaskCfg:
 
     @property
     def tells_success(self) -> bool:
-        """Whether the task says what a success is."""
+        """Whether the task defines success."""
         return bool(self._successes)
 
     @property
     def success_radius(self) -> float | None:
-        """Distance to the target that counts as there [m]: the ``radius`` of the first success that has one."""
+        """Success radius around the target [m]: ``radius`` of the first success that has one."""
         found = (each.params["radius"] for each in self._successes if "radius" in each.params)
         radius = next(found, None)
         return float(radius) if isinstance(radius, (int, float)) else None

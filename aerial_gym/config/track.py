@@ -126,5 +126,5 @@ class TrackCfg:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Instances of each asset of the track, in the order in which they stand."""
+        """Number of instances of each asset of the track, in their order."""
         return {name: count for name, count in ((GATES, len(self.gates)), (POLES, len(self.poles))) if count}

@@ -243,7 +243,7 @@ class EnvManager:
         return self._graph().traced
 
     def detach(self) -> None:
-        """Let gradients end at this instant: what comes later is differentiated back to here, and no further."""
+        """Cut the gradients at this instant: later losses are differentiated back to here, and no further."""
         self._graph().detach()
 
     def settle(self) -> None:
@@ -302,7 +302,7 @@ class EnvManager:
         self._collision.step()
 
     def restart(self, seed: int) -> None:
-        """Begin every random number anew with a seed, as if all were built with it; call ``reset`` next."""
+        """Reseed all random numbers, as if the simulation were built with this seed; call ``reset`` next."""
         self.seed = seed
         self.random.restart(seed)
         self.asset_manager.restart()
@@ -392,7 +392,7 @@ class EnvManager:
             vars(self).pop(name, None)
 
     def __getattr__(self, name: str) -> NoReturn:
-        """Say of what ``close`` dropped that it is gone."""
+        """Raise ``ClosedError`` for attributes that ``close`` dropped."""
         if name in ("asset_manager", "robot_manager", "sensor_manager", "_collision") and "gtd" in vars(self):
             raise ClosedError("this simulation is closed. Build a new one")
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")

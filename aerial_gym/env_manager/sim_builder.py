@@ -41,7 +41,7 @@ def environment_by_name(name: str | Path | EnvironmentCfg) -> EnvironmentCfg:
 
 @contextmanager
 def told_memory(num_envs: int, device: torch.device) -> Iterator[None]:
-    """Turn what torch and NumPy raise of sizes that no memory holds into one sentence.
+    """Convert out-of-memory errors of torch and NumPy into one message.
 
     Raises:
         CapabilityError: In place of it.

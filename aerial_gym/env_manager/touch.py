@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 def recorded(
     env: EnvironmentCfg, robot: RobotCfg, *, num_envs: int, device: torch.device, differentiable: bool = False
 ) -> Trajectory | None:
-    """Return the record of a step that the test needs; None where there is nothing to follow, or contact pushes back.
+    """Return the trajectory record for swept collision tests; None without obstacles, or with contact forces.
 
     Over the ground alone a differentiable robot is tested at the poses only: its substeps are one kernel without a record.
     """

@@ -38,7 +38,7 @@ class GuardedTensor(Tensor):
     def __torch_dispatch__(
         cls, func: Any, types: Sequence[type], args: Sequence[Any] = (), kwargs: Mapping[str, Any] | None = None
     ) -> Any:
-        """Run an operation on the plain tensors; guard what it returns of their memory."""
+        """Run an operation on the plain tensors, and guard results that share their memory."""
         del types
         kwargs = kwargs or {}
         written = _written(func, args, kwargs)

@@ -26,7 +26,7 @@ class Registry(Generic[T]):
 
     @property
     def kind(self) -> str:
-        """What the entries are, as error messages call them."""
+        """Name of an entry's kind in error messages."""
         return self._kind
 
     def register(self, name: str, entry: T) -> None:

@@ -75,7 +75,7 @@ class GlobalTensorDictionary(Mapping[str, Tensor]):
         return tensor
 
     def refuse(self, key: str, instead: str) -> None:
-        """Refuse writes to a key from now on; ``instead`` tells what to do in place of one."""
+        """Refuse writes to a key from now on; ``instead`` is the remedy in the error message."""
         self._instead[key] = instead
         self._guarded[key] = GuardedTensor.wrap(self.plain(key), partial(self._refuse_write, key), _do_nothing)
 
@@ -100,7 +100,7 @@ class GlobalTensorDictionary(Mapping[str, Tensor]):
             raise UnknownNameError(f"no GTD key {key!r}. Known: {known}") from None
 
     def state_tensors(self) -> dict[str, Tensor]:
-        """Return every tensor but those that only show parts of another one."""
+        """Return all tensors except views of another one."""
         whole = {}
         for key, tensor in self._tensors.items():
             storage = tensor.untyped_storage()

@@ -75,7 +75,7 @@ class Stop:
 
 @wp.func
 def path_of(done: Substep) -> Path:
-    """Return the motion of a body in a substep, whose centre of mass moves in a straight line."""
+    """Return the path of a body in a substep, with the centre of mass on a straight line."""
     first = done.first_position - rotate(done.first_attitude, done.com)
     last = done.position - rotate(done.attitude, done.com)
     return path_between(done.com, first, done.first_attitude, last, done.attitude)
@@ -135,7 +135,7 @@ def _make_nearest_pair(*, cores: bool) -> wp.Function:
 def _make_push_on(*, cores: bool) -> wp.Function:
     @wp.func
     def push_on(shape: Shape, own: BodyShape, core: Core) -> wp.vec3:
-        """Return the direction in which contact pushes a shape, in the frame of the part; 0 if they are clearly apart."""
+        """Return the contact normal on a shape, in the frame of the part; 0 if both are clearly apart."""
         if wp.static(cores):  # noqa: SIM102 (only what stands alone is static)
             if own.reach > own.radius:
                 limit = own.radius + 2.0 * NEAR + 2.0 * EDGE * (own.reach + shape.radius)

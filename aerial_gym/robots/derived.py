@@ -61,7 +61,7 @@ def write_derived(out: DerivedArrays, e: int, position: wp.vec3, q: wp.quat, lin
 
 @wp.func
 def write_together(out: DerivedArrays, e: int, x: wp.vec3, q: wp.quat, v: wp.vec3, ang_vel: wp.vec3):
-    """Do what ``write_derived`` does, in a launch of all environments."""
+    """Write the secondary states of environment ``e``, for kernels that hold its motion."""
     turn, lin_vel_body, level, vehicle_lin_vel, euler = derive(q, v, ang_vel)
     store_vector(out.ang_vel_world, e, turn)
     store_vector(out.lin_vel_body, e, lin_vel_body)
@@ -95,7 +95,7 @@ def _derive(
     non_finite_out: wp.array[wp.int32],  # (E,) bits of NonFinite
     crashes_out: wp.array[wp.bool],  # (E,) set where anything is not finite
 ):
-    """Write the derived states of every environment, and what of it is not finite; all is read before any is written."""
+    """Write secondary states and non-finite bits of every environment; all inputs are read before the first write."""
     e = wp.tid()
     x = position[e]
     q = load_quat(attitude, e)
@@ -147,7 +147,7 @@ class DerivedStates:
         root_state: Tensor,
         checked: Checked | None = None,
     ) -> None:
-        """Take the motion that is read, the tensors (E, 3), (E, 4) and (E, 13) that are written, and what tells bad rows."""
+        """Take the motion as input, the output tensors (E, 3), (E, 4) and (E, 13), and the check."""
         start_warp()
         self._like = state.position
         self._checked = checked = checked or Checked.placeholder(state)
@@ -169,5 +169,5 @@ class DerivedStates:
         )
 
     def refresh(self) -> None:
-        """Write what follows from the motion of this instant; launched on torch's current stream, not waited for."""
+        """Write the secondary states of this instant; launched on torch's current stream, not waited for."""
         self._command.launch(self._like)

@@ -48,7 +48,7 @@ class DifferentiableBackend:
 
     @property
     def traced(self) -> "TracedKeys":
-        """Motion, actions and what follows from them, by the keys of the Global Tensor Dictionary; differentiable."""
+        """Motion, actions and secondary states with gradients, by GTD key."""
         if self._traced is None or self._traced.state is not self.state:
             self._traced = TracedKeys(self.state, self.actions)
         return self._traced
@@ -59,7 +59,7 @@ class DifferentiableBackend:
 
     @property
     def capabilities(self) -> Capabilities:
-        """What it can do."""
+        """Capabilities of the backend."""
         return self._inner.capabilities
 
     def allocate(
@@ -84,11 +84,11 @@ class DifferentiableBackend:
         self._inner.set_model(model.to(self._dtype))
 
     def take_ground_heights(self) -> None:
-        """Take what stands in ``Model.ground_height`` now."""
+        """Take the present values of ``Model.ground_height``."""
         self._inner.take_ground_heights()
 
     def load(self) -> Tensor | None:
-        """Return direction and rate of the link on which a load hangs, in float32 and without gradients; None without one."""
+        """Return direction and rate of the load's cable, in float32 and without gradients; None without a load."""
         found = self._inner.load()
         return None if found is None else found.detach().float()
 
@@ -133,7 +133,7 @@ class DifferentiableBackend:
                     self._hook.after_substep(k, _map(before, torch.Tensor.detach), state)
 
     def _in_rows(self, dt: float) -> SubstepRows | None:
-        """Return a substep of ``dt`` [s] as one kernel: in float32, and without a hook, which wants the motion before it."""
+        """Return a substep of ``dt`` [s] as one float32 kernel, without the hook, which needs the motion before it."""
         if self._rows is None or self._rows[0] != dt:
             plain = self._dtype == torch.float32 and self._hook is None
             self._rows = (dt, self._inner.in_rows(self.state, self.actions[0], dt) if plain else None)

@@ -38,7 +38,7 @@ def report_drawn_ranges(
     names: tuple[str, str],
     randomize: Randomize,
 ) -> None:
-    """Warn of drawn ranges at whose ends a vehicle is unstable or leaves ``HOVER_RANGE``; say how far, and what helps.
+    """Warn of ranges at whose ends a vehicle is unstable or leaves ``HOVER_RANGE``, with the remedy.
 
     Args:
         gravity: Downward acceleration of free fall [m/s²].
@@ -134,7 +134,7 @@ def _said(end: Tensor) -> str:
 
 
 def _side_by_side(ends: Sequence[End]) -> Iterator[list[End]]:
-    """Yield the ends in groups of one dead time: those of a drawn dead time each by itself."""
+    """Yield the ends of ranges in groups of equal dead time: each end of a random dead time alone."""
     alone = [end for end in ends if _is_delay(end[0])]
     together = [end for end in ends if not _is_delay(end[0])]
     yield from ([together] if together else [])

@@ -20,11 +20,11 @@ class FeltScene:
 
     @property
     def sources(self) -> tuple[Tensor, ...]:
-        """Those that there are, in the order in which ``take_from`` finds them."""
+        """The tensors that are not None, in the order of ``take_from``."""
         return tuple(each for each in (self.other_position, self.surface_height) if each is not None)
 
     def take_from(self, rest: list[Tensor]) -> "FeltScene":
-        """Return the rows (E, ...) of these at the end of a list, from which they are taken."""
+        """Remove the rows (E, ...) of these tensors from the end of a list and return them."""
         surface = None if self.surface_height is None else rest.pop()
         other = None if self.other_position is None else rest.pop()
         return FeltScene(other_position=other, surface_height=surface)
@@ -33,7 +33,7 @@ class FeltScene:
 def declare_felt_scene(
     gtd: GlobalTensorDictionary, effects: Sequence[EffectParams], *, obstacles: bool, gradients: bool
 ) -> FeltScene:
-    """Declare what the effects feel; ``obstacles`` says that there is more below than one ground for all.
+    """Declare the surroundings that the effects read; ``obstacles`` adds surfaces other than the ground.
 
     Raises:
         CapabilityError: If gradients are asked for through a surface that is looked for in every step.

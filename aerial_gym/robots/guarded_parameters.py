@@ -19,7 +19,7 @@ def guard_parameters(
     *,
     notice: Callable[[], None],
 ) -> None:
-    """Watch parameters that take writes, and refuse writes to those that follow from others.
+    """Allow writes to independent parameters, and refuse those to derived ones.
 
     Args:
         gtd: Has the keys of a robot.

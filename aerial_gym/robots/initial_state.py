@@ -58,7 +58,7 @@ class StartArrays:
 
 @wp.func
 def start_row(e: int, given: StartArrays):
-    """Write a new state of one environment and what follows from it.
+    """Write a new state of one environment and its secondary states.
 
     A row that ends because it was not finite is counted, and the first ones written down. Then what said that an episode
     ended is cleared.
@@ -111,7 +111,7 @@ def _begin_step(
     crashes_out: wp.array[wp.bool],  # (E,)
     truncations_out: wp.array[wp.bool],  # (E,)
 ):
-    """Take the action of every environment and keep the one before, count the step, clear what ends an episode."""
+    """Store the actions and the previous ones, count the step, and clear the flags of episode ends."""
     e, i = wp.tid()
     prev_actions_out[e, i] = actions_out[e, i]
     actions_out[e, i] = given[e, i]

@@ -155,7 +155,7 @@ def drawing(drawn: Sequence[Drawn], random: Randomness, *, device: torch.device)
 
 
 def _lines(drawn: Sequence[Drawn], joint_columns: Sequence[int]) -> Iterator[str]:
-    """Yield the lines that draw every number; ``joint_columns`` are those of one joint distribution, in their order."""
+    """Yield the kernel lines that draw each number; ``joint_columns`` are the columns of the joint distribution."""
     yield f"episode = stream_of(given.random, row, {int(Purpose.PARAMETERS)})"
     for i, each in enumerate(drawn):
         yield f"quantity_{i} = substream(episode, {_stream(each.name)})"

@@ -20,7 +20,7 @@ BATTERY = ("nominal_voltage", "full_voltage", "empty_voltage", "internal_resista
 
 
 def drawn_value(cfg: RandomizeCfg, declared: Tensor, draw: Tensor) -> Tensor:
-    """Return the quantity from what is declared and what was drawn."""
+    """Return a quantity from its declared value and its draw."""
     if cfg.how == "value":
         return draw + torch.zeros_like(declared)
     return declared * draw if cfg.how == "scale" else declared + draw

@@ -24,7 +24,7 @@ _ONE_MOUNT = re.compile(r"mounts\.(\d+)\.(\w+)")
 
 
 def with_drawn_effects(robot: RobotCfg, cfg: Randomize) -> RobotCfg:
-    """Return the robot with the effects whose parameters are drawn and which it lacks, at their neutral parameters."""
+    """Return the robot plus the effects that only its draws name, at their neutral parameters."""
     effects = dict(robot.effects)
     for name in cfg:
         parts = name.split(".", 2)
@@ -107,13 +107,13 @@ class Randomized:
 
     @property
     def drawn_effects(self) -> list[int]:
-        """Numbers of the effects of which parameters are drawn."""
+        """Indices of the effects with random parameters."""
         names = {each.name.split(".")[1] for each in self.drawn if each.name.startswith("effects.")}
         return [i for i, effect in enumerate(self._effects) if effect.name in names]
 
     @property
     def drawn_gains(self) -> list[str]:
-        """Names of the gains that are drawn."""
+        """Names of the random gains."""
         return [each.name.split(".")[1] for each in self.drawn if each.name.startswith("gains.")]
 
     def views(self, values: Tensor) -> dict[str, Tensor]:
@@ -225,7 +225,7 @@ class Randomized:
         return declared[: shape[0]] if shape else declared
 
     def _check(self, name: str, cfg: RandomizeCfg) -> None:
-        """Raise ``ConfigError`` if the range of a draw leaves what is possible, or the robot has nothing of the kind."""
+        """Raise ``ConfigError`` for a range beyond the possible values, or a quantity that the robot lacks."""
         trait = {"rotor.slew_rate": "slew", "rotor.dead_band": "dead_band"}.get(name)
         if trait is not None and trait not in self._declared.traits:
             raise ConfigError(f"randomize: {name}: the rotors of this robot have none. Declare one in its file")

@@ -152,7 +152,7 @@ class RobotManager:
         self._begin = StepBegin(self.tensors.actions, self.tensors.prev_actions, self.noticed)
 
     def _declare_model(self) -> None:
-        """Declare what is per environment of the vehicle and its effects."""
+        """Declare the parameters of vehicle and effects that differ between environments."""
         gtd = self._gtd
         self._mass = gtd.declare(TensorSpec(
             key="robot_mass", shape=("E",), unit="kg", frame="-", owner="robot", meaning="true mass"
@@ -204,7 +204,7 @@ class RobotManager:
         return len(self.action_names)
 
     def _make_randomized(self, cfg: Randomize) -> Randomized | None:
-        """Return the layout of what is drawn, and declare its numbers; None where nothing is drawn."""
+        """Return the layout of the random quantities and declare their numbers; None without any."""
         if not cfg:
             return None
         gains = self.controller.gains_by_name
@@ -231,7 +231,7 @@ class RobotManager:
         return (*drawn, *(params for _, params in self._effects), *self.felt.sources)
 
     def _model_of(self, *sources: Tensor, declared: Vehicle | None = None) -> tuple[Model, Followed]:
-        """Return the model, and what follows from the draws; plain torch on the rows of ``_sources`` and of ``declared``."""
+        """Return the model and the drawn values, by torch functions on the rows of ``_sources`` and ``declared``."""
         rest = list(sources)
         values = rest.pop(0) if self._randomized is not None else None
         felt = self.felt.take_from(rest)
@@ -250,7 +250,7 @@ class RobotManager:
         return model, followed
 
     def _build_model(self) -> Model:
-        """Return the model of all environments with tensors of its own, and write what is known of it elsewhere."""
+        """Return the model of all environments with tensors of its own, and write the parameters that other parts hold."""
         model, followed = self._model_of(*self._sources(), declared=self.declared)
         if self._allocation is not None:
             self._allocation.follow(model.vehicle)
@@ -350,7 +350,7 @@ class RobotManager:
         return found | below("backend", self.backend.state_tensors())
 
     def act(self, actions: Tensor) -> None:
-        """Begin a step: store its action, (E, U), keep the one before, count the step, and clear what ends an episode."""
+        """Begin a step: store action (E, U) and previous action, count the step, clear the flags of episode ends."""
         if actions.shape != self.tensors.actions.shape:
             raise ShapeError(
                 f"actions has shape {tuple(actions.shape)}, expected (E, U) = {tuple(self.tensors.actions.shape)}: "

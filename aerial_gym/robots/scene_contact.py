@@ -83,7 +83,7 @@ def _make_meet(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
 
     @wp.func
     def meet(around: SceneSurroundings, obstacles: obstacles_type, env: int, done: Substep):
-        """Return the motion of a robot after it stops at what it would pass through, and is pushed by what it overlaps.
+        """Return a robot's motion after the swept test against obstacles and the impulses of contact.
 
         Obstacles move by the substep between the two. A robot that nothing touches comes back bit for bit.
         """

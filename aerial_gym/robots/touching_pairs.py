@@ -44,7 +44,7 @@ class SceneMotion:
 
 @wp.func
 def _shallowest(pairs: TouchingPairs) -> int:
-    """Return the entry of the smallest overlap, an empty one if there is any."""
+    """Return the index of the smallest overlap, or of an empty entry."""
     entry = wp.int32(0)
     for i in range(1, MAX_CONTACTS):
         if pairs.gaps[i] > pairs.gaps[entry]:
@@ -127,7 +127,7 @@ def add_cores(
     center_of_mass: wp.vec3,
     attitude: wp.quat,
 ) -> TouchingPairs:
-    """Return the pairs with those of boxes and capsules that are not between contact points and obstacles."""
+    """Add the pairs of boxes and capsules that contact points alone miss."""
     part = wp.int32(0)
     while part < scene.num_solid:
         a = scene.part_instance[env, part]
@@ -212,7 +212,7 @@ def come_fast(pairs: TouchingPairs, lin_vel: wp.vec3, turn: wp.vec3, least_appro
 
 
 def scene_motion(scene: Scene) -> SceneMotion:
-    """Return views of how the instances of a scene move."""
+    """Return views of the motion of a scene's instances."""
     motion, size = SceneMotion(), (scene.num_envs, scene.num_instances, 3)
     motion.lin_vel = vector_view("lin_vel", scene.asset_state[..., 7:10], size, device=scene.device)
     motion.ang_vel = vector_view("ang_vel", scene.asset_state[..., 10:13], size, device=scene.device)

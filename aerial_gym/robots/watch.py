@@ -148,7 +148,7 @@ class Watch:
         self._command.launch(self._action)
 
     def forget(self) -> None:
-        """Begin the steps of every row anew, as all are reset."""
+        """Clear the recorded steps of all rows, as all are reset."""
         if self.keeps:
             self._steps.zero_()
 
@@ -179,7 +179,7 @@ class Watch:
         return count
 
     def dump(self, path: str | Path) -> int:
-        """Write the last steps of the first K rows as CSV and return how many rows these are. Waits for the device.
+        """Write the last steps of the first K rows as CSV and return the number of rows. Waits for the device.
 
         Raises:
             ConfigError: If it does not keep them.
@@ -206,7 +206,7 @@ class Watch:
 
 
 def read_dump(path: str | Path) -> tuple[list[list[str]], list[str]]:
-    """Return the table of a dump, its header first, and one sentence for every row of which it holds the last steps.
+    """Return the table of a dump with its header, and one sentence per recorded row.
 
     Raises:
         ConfigError: If the file is no dump.

@@ -18,7 +18,7 @@ from aerial_gym.sensors.imu import Imu
 
 
 def allan_deviation(samples: Tensor, dt: float) -> tuple[Tensor, Tensor]:
-    """Return averaging times and the overlapping estimate of the Allan deviation there.
+    """Return averaging times and the overlapping Allan deviation at each.
 
     With the integral theta of the signal, ``sigma²(tau) = <(theta(t + 2 tau) - 2 theta(t + tau) + theta(t))²> / (2 tau²)``.
 

@@ -21,7 +21,7 @@ class DelayLine:
     """Keeps the last images of a sensor and gives out the oldest; an environment starts with its first image at every age."""
 
     def __init__(self, fresh: SensorImages, out: SensorImages, steps: int) -> None:
-        """Take what the sensor writes, what users see, and the delay in steps, >= 1."""
+        """Take the sensor's images, the delayed images, and the delay in steps, >= 1."""
         self._pairs: list[tuple[Tensor, Tensor, list[Tensor]]] = []
         for name, image in fresh.items():
             self._pairs.append((image, out[name], [torch.zeros_like(image) for _ in range(steps)]))

@@ -61,7 +61,7 @@ def relate(
     drift_out: wp.array2d[wp.vec3],  # (M, A + L + 2) sensor frame [m/s]
     turn_out: wp.array2d[wp.vec3],  # (M, A + L + 2) sensor frame [rad/s]
 ):
-    """Write how one instance, a link or the world moves as one sensor sees it: points at p have the velocity a + b x p."""
+    """Write the relative motion of an instance, a link or the world in the sensor's frame, velocity ``a + b x p`` at p."""
     mount, a = wp.tid()
     env = mount // mount_position.shape[1]
     sensor = mount - env * mount_position.shape[1]
@@ -92,7 +92,7 @@ def relate(
 
 @wp.func
 def flow_of(flow: Flow, env: int, mount: int, pixel: int, ray: wp.vec3, distance: float, part: int) -> wp.vec2:
-    """Return the flow [pixel/s] of what a ray meets at a distance; part -1 is a miss, at infinity."""
+    """Return the optical flow [pixel/s] of a ray's hit at a distance; part -1 is a miss, at infinity."""
     a = flow.drift.shape[1] - 1
     if part >= 0:
         a = flow.part_instance[env, part]
@@ -140,7 +140,7 @@ def instance_twists(scene: Scene) -> list[wp.array]:
 
 
 def link_twists(scene: Scene) -> list[wp.array]:
-    """Return likewise those of the robot's links, (E, L) each."""
+    """Return the twists of the robot's links as ``instance_twists``, (E, L) each."""
     state = scene.asset_state.new_zeros(scene.num_envs, 0, 13) if scene.robot_state is None else scene.robot_state
     return _twists("link", state)
 

@@ -64,12 +64,12 @@ def images_of(cfg: RangeSensorCfg) -> dict[str, Image]:
 
 
 def dtype_of(image: Image) -> torch.dtype:
-    """Return the type of its numbers."""
+    """Return the dtype of an image's pixels."""
     return torch.int32 if image.ids else torch.float32
 
 
 def image_shape(cfg: RangeSensorCfg, image: Image, num_envs: int) -> tuple[int, ...]:
-    """Return (E, S, H, W), with the components of a pixel behind if there are several."""
+    """Return the shape of an image, (E, S, H, W), or (E, S, H, W, C) with C > 1 components."""
     more = () if image.components == 1 else (image.components,)
     return (num_envs, cfg.count, cfg.height, cfg.width, *more)
 
@@ -121,7 +121,7 @@ def _pixel_of(image: Image) -> type:
 
 @cache
 def arrays_type(names: tuple[str, ...]) -> type:
-    """Return the struct of a kernel that writes these images, each (M, N), and what it needs for it."""
+    """Return the struct type for a kernel that writes these images, each (M, N)."""
     needed = {
         "semantic_id": wp.array2d[wp.int32],  # (E, P) of the scene
         "origin": wp.array[wp.vec3],  # (M,) of the sensor, world [m]; of a turning lidar (M * G,), for every seat
@@ -133,7 +133,7 @@ def arrays_type(names: tuple[str, ...]) -> type:
 
 
 def arrays_of(images: SensorImages) -> object:
-    """Return the struct of these images, whose other members are still to be set."""
+    """Return the struct of these images; its other members are set later."""
     arrays = arrays_type(tuple(images))()
     for name, image in images.items():
         pixels = image.shape[2] * image.shape[3]

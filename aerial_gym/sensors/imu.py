@@ -150,7 +150,7 @@ def _write(
     gyro_bias: wp.vec3,
     steps: float,
 ):
-    """Write biases, and what the IMU makes of specific force [m/s²] and angular velocity [rad/s] in body axes.
+    """Write biases and the IMU's measurement of specific force [m/s²] and angular velocity [rad/s], both in body axes.
 
     The noise is that of a mean over a number of steps.
     """

@@ -110,7 +110,7 @@ def mount_pose(mount: SensorMountCfg, cfg: SensorCfg) -> Pose | None:
 
 
 def _with_drawn_place(cfg: Cfg, drawn: Mapping[str, RandomizeCfg]) -> Cfg:
-    """Return a sensor whose place is drawn.
+    """Return a sensor with random placement.
 
     Args:
         drawn: Uniform offsets of ``position`` [m] and ``euler`` [rad], in the frame of the sensor's own file.

@@ -91,7 +91,7 @@ def locate(
 
 @wp.func
 def limit_of(limits: Limits, ray: wp.vec3) -> float:
-    """Return the distance along a ray beyond which nothing is seen [m]."""
+    """Return the range limit along a ray [m]."""
     return wp.where(limits.projected, limits.max_range / ray[0], limits.max_range)
 
 

@@ -124,7 +124,7 @@ class RayCaster:
         return self.places.attitude
 
     def _record_preparations(self, scene: Scene, pose: list[wp.array]) -> list[RecordedLaunch]:
-        """Record what comes before the rays: where the sensors are, and how they see each part."""
+        """Record the launches before the rays: sensor poses, and parts in the sensors' frames."""
         mounts = self._view.kind.shape[0]  # seats of a turning lidar
         device = wp.device_from_torch(self._device)
         self._origin = wp.zeros(mounts, dtype=wp.vec3, device=device)
@@ -142,7 +142,7 @@ class RayCaster:
         return found
 
     def _reach(self) -> float:
-        """Return the longest distance along any ray at which something is seen [m]."""
+        """Return the largest range limit of all rays [m]."""
         cosine = float(self.direction[..., 0].min()) if self.cfg.kind == "depth" else 1.0
         return self.cfg.max_range / cosine
 

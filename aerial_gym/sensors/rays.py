@@ -155,7 +155,7 @@ def through_prisms(prisms: Sequence[PrismCfg], time: Tensor, beam: Tensor) -> Te
 
 
 def _refracted(ray: Tensor, normal: Tensor, ratio: float) -> Tensor:
-    """Return rays (T, 3) behind a face with a normal towards them (T, 3); ``ratio`` is the index before over that behind.
+    """Return rays (T, 3) refracted at a face with a normal against them (T, 3); ``ratio`` is the index before over behind.
 
     NaN where the ray is reflected.
     """
@@ -174,7 +174,7 @@ def listed_rays(cfg: RayTableCfg, *, device: torch.device) -> Tensor:
 
 
 def read_rays(path: str | Path) -> Tensor:
-    """Return the directions in a CSV file, float64, (N, 3), of the length that they have there.
+    """Return the directions in a CSV file, float64, (N, 3), not normalised.
 
     The header is ``x,y,z`` (sensor frame, any length but 0) or ``azimuth_deg,elevation_deg``; raises ``ConfigError`` that
     names the line.

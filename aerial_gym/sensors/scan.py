@@ -30,7 +30,7 @@ def turn_by(ang_vel: wp.vec3, time: float) -> wp.quat:
 
 @wp.func
 def shift_by(lin_vel: wp.vec3, ang_vel: wp.vec3, time: float, link: int) -> wp.vec3:
-    """Return the way of an origin in a time [m]: that of a screw motion of a link, a straight one of the body and of obstacles.
+    """Return the displacement of an origin in a time [m]: screw motion of a link, straight line of the body and of obstacles.
 
     Source: Murray, Li, Sastry (1994), A Mathematical Introduction to Robotic Manipulation, equation 2.36, as a series in the
     turn where that is small.
@@ -65,7 +65,7 @@ def place_seats(
     position_out: wp.array2d[wp.vec3],  # (E, S * G) present body frame [m]
     attitude_out: wp.array2d[wp.quat],  # (E, S * G) sensor to present body
 ):
-    """Write where a sensor was in the present body frame: it turned and went there by constant twist."""
+    """Write a sensor's past pose in the present body frame, for a constant twist."""
     env, seat = wp.tid()
     sensor = seat // age.shape[0]
     ago = age[seat - sensor * age.shape[0]]
@@ -98,7 +98,7 @@ def look_back(
     rows_out: wp.array2d[wp.vec4],  # (M * G, 3 P)
     kind_out: wp.array2d[wp.int32],  # (M * G, P)
 ):
-    """Write how one seat saw one part.
+    """Write a part's pose in the frame of one column group.
 
     Instead of the instance the seat is moved: it sees the present instance from where, relative to it, it was. Relative to
     its own link that is where the sensor is now.
@@ -141,7 +141,7 @@ class Scan:
     """Sensor poses of the column groups of a scanning lidar, with the launches that compute them."""
 
     def __init__(self, cfg: ScannedCfg, scene: Scene, pose: list[wp.array], twist: list[wp.array], link: int) -> None:
-        """Take what the seats depend on.
+        """Take the inputs of the column poses.
 
         Args:
             cfg: A sensor that measures its columns one after the other.
@@ -169,7 +169,7 @@ class Scan:
         return self._record(place_seats, self.pose[2].shape, inputs, self.pose[2:])
 
     def record_look(self, view: View, reach: float) -> RecordedLaunch:
-        """Record the launch that works out how every seat sees every part within a reach [m]."""
+        """Record the launch that transforms every part within a reach [m] into the frame of every column group."""
         scene = self._scene
         twists = [*instance_twists(scene), *link_twists(scene)]
         inputs = [scene.arrays, *twists, *self.pose, *self._mount[2:], self._age, reach, self._link]

@@ -83,7 +83,7 @@ def lamplight(
 
 @wp.func
 def texel(looks: Looks, texture: Texture, column: int, row: int) -> wp.vec3:
-    """Return the colour of a pixel of an image that goes on without end in both directions."""
+    """Return the colour of a texture pixel; the image repeats in both directions."""
     x = column - texture.width * int(wp.floor(float(column) / float(texture.width)))
     y = row - texture.height * int(wp.floor(float(row) / float(texture.height)))
     x = wp.clamp(x, 0, texture.width - 1)

@@ -40,7 +40,7 @@ def see_part(
     rows_out: wp.array2d[wp.vec4],
     kind_out: wp.array2d[wp.int32],
 ):
-    """Write into one row how a sensor at a pose (sensor to world) sees one part."""
+    """Write one part in the frame of a sensor at a pose (sensor to world) into one row."""
     kind = wp.int32(ABSENT)
     if part_is_present(scene, env, a):
         offset = origin - part_position(scene, env, a)
@@ -71,7 +71,7 @@ def look(
     rows_out: wp.array2d[wp.vec4],  # (M, 3 P)
     kind_out: wp.array2d[wp.int32],  # (M, P)
 ):
-    """Write how one sensor sees one part."""
+    """Write one part in the frame of one sensor."""
     mount, a = wp.tid()
     env = mount // mount_position.shape[1]
     sensor = mount - env * mount_position.shape[1]
@@ -82,7 +82,7 @@ def look(
 
 @wp.func
 def slab_bounds(row: wp.vec4, middle: wp.vec3, spread: wp.vec3) -> wp.vec2:
-    """Return the span of t in which some ray of a tile can be between two faces of the cube."""
+    """Return the interval of t in which any ray of a tile lies between two faces of the cube."""
     across = row[0] * middle[0] + row[1] * middle[1] + row[2] * middle[2]
     half = wp.abs(row[0]) * spread[0] + wp.abs(row[1]) * spread[1] + wp.abs(row[2]) * spread[2]
     low = across - half
@@ -106,7 +106,7 @@ def slab_bounds(row: wp.vec4, middle: wp.vec3, spread: wp.vec3) -> wp.vec2:
 
 @wp.func
 def tile_entry(x: wp.vec4, y: wp.vec4, z: wp.vec4, middle: wp.vec3, spread: wp.vec3) -> float:
-    """Return a distance before which no ray of a tile meets the bounding box, inf if none does at all [m].
+    """Return a lower bound of the distance to the bounding box along a tile's rays [m], inf without a hit.
 
     Interval arithmetic on the slab test.
     """
@@ -120,7 +120,7 @@ def tile_entry(x: wp.vec4, y: wp.vec4, z: wp.vec4, middle: wp.vec3, spread: wp.v
 
 @wp.func
 def plane_entry(row: wp.vec4, middle: wp.vec3, spread: wp.vec3) -> float:
-    """Return a distance before which no ray of a tile meets the plane in which this coordinate is 0, inf if none does [m]."""
+    """Return a lower bound of the distance to the plane of coordinate 0 along a tile's rays [m], inf without a hit."""
     across = row[0] * middle[0] + row[1] * middle[1] + row[2] * middle[2]
     half = wp.abs(row[0]) * spread[0] + wp.abs(row[1]) * spread[1] + wp.abs(row[2]) * spread[2]
     if row[3] > 0.0:
@@ -172,7 +172,7 @@ def is_blocked(view: View, env: int, mount: int, start: wp.vec3, ray: wp.vec3, l
 
 @wp.func
 def entry_of(view: View, mount: int, a: int, middle: wp.vec3, spread: wp.vec3) -> float:
-    """Return a distance before which no ray of a tile meets a part, inf if it is absent or none meets it [m]."""
+    """Return a lower bound of the distance to a part along a tile's rays [m], inf if it is absent or not hit."""
     kind = view.kind[mount, a]
     if kind == ABSENT:
         return wp.inf

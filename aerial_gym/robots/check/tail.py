@@ -70,7 +70,7 @@ class LeaningTail:
         return atan2(unknowns[-1], unknowns[self.tail])
 
     def wrench(self, unknowns: Array) -> Tensor:
-        """Return force [N] and torque [N m], (6,), without the side force of the tail, against which a vehicle leans."""
+        """Return force [N] and torque [N m], (6,), without the tail's side force, which roll balances."""
         found = self.columns @ unknowns
         found[1] += unknowns[-1]
         return torch.from_numpy(found)
@@ -108,7 +108,7 @@ class LeaningTail:
 
 
 def _farthest(stopped_by: Callable[[float], int | None]) -> tuple[float, int | None]:
-    """Return the largest size at which nothing stops, and what does beyond it."""
+    """Return the largest size without a violation, and the first violation beyond it."""
     size, ends, last = 0.0, LARGEST, None
     for _ in range(HALVINGS):
         middle = 0.5 * (size + ends)

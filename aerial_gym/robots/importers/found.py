@@ -65,7 +65,7 @@ def read_xml(path: Path) -> ElementTree.Element:
 
 
 def vec3(vector: Sequence[float] | np.ndarray) -> Vec3:
-    """Return three floats; what is round-off beside the largest of them is 0."""
+    """Return three floats, with 0 for rounding errors relative to the largest."""
     values = np.asarray(vector, dtype=float)
     x, y, z = np.where(np.abs(values) < 1e-12 * np.abs(values).max(initial=0.0), 0.0, values).tolist()
     return x, y, z
@@ -79,7 +79,7 @@ def roll_pitch_yaw(turn: np.ndarray) -> Vec3:
 
 
 def pose_of(xyz: Sequence[float], rpy: Sequence[float] = (0.0, 0.0, 0.0)) -> np.ndarray:
-    """Return a frame (4, 4) from its place [m] and ZYX angles [rad]."""
+    """Return the homogeneous matrix (4, 4) of a position [m] and ZYX angles [rad]."""
     from trimesh.transformations import euler_matrix
 
     pose = euler_matrix(*rpy, axes="sxyz")
@@ -116,7 +116,7 @@ ON_AXIS = 1e-3
 
 
 def tilts(rotor: FoundRotor, kind: str, axis: np.ndarray, position: np.ndarray) -> bool:
-    """Return whether a joint that carries a rotor moves the line along which it pushes.
+    """Return whether a joint moves the thrust line of a rotor behind it.
 
     A rotor that spins about its own axis does not: the joint's axis is that line.
     """

@@ -54,7 +54,7 @@ class Imported:
         yield from (f"assumed: {' '.join(note.split())}" for note in self.assumed)
 
     def as_file(self, name: str) -> str:
-        """Return the text of the robot file; its first lines say what of the file ``name`` is not in it."""
+        """Return the text of the robot file; its first lines list the unused elements of the file ``name``."""
         lines = [f"Imported from {name} by aerial-gym robot import.", *self.lines()]
         return "".join(f"# {line}\n" for line in lines) + dump_yaml(self.robot)
 

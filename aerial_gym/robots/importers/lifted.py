@@ -24,7 +24,7 @@ class Lift:
 
 
 def lifted(found: Found, gravity: float) -> Lift:
-    """Return the forces that carry what the file makes weightless.
+    """Return the upward forces that cancel the weight of weightless masses.
 
     Raises:
         ConfigError: If the file adds weight to a link rather than taking it away.

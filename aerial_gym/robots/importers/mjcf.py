@@ -122,7 +122,7 @@ class _Reader:
         return self.frame(self._data.xipos[body], self._data.ximat[body])
 
     def find_joints(self) -> None:
-        """Take hinges and slides, and which of them moves each body: the last one of a body with several."""
+        """Find hinges and slides, and the joint that moves each body: of several on one body the last."""
         m, kinds = self._model, self._mujoco.mjtJoint
         for body in self._bodies:  # parents come first
             at = self._on.get(int(m.body_parentid[body]), BASE)

@@ -95,7 +95,7 @@ class Actuator:
         return force, torque
 
     def thrust_line(self, pose: np.ndarray) -> FoundRotor:
-        """Return its place and direction of thrust, for a site whose frame is given, (4, 4)."""
+        """Return position and direction of the thrust, for the frame (4, 4) of the site."""
         force, torque = (pose[:3, :3] @ part for part in self._gear())
         square = float(force @ force)
         place = pose[:3, 3] + np.cross(force, torque) / square

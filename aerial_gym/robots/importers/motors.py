@@ -72,7 +72,7 @@ def is_motor(plugin: ElementTree.Element) -> bool:
 
 
 def force_left_out(plugin: ElementTree.Element) -> str | None:
-    """Return the source of the force that a plugin stands for, or None if a multirotor lacks no such force."""
+    """Return the source of a plugin's force that the import leaves out, None for other plugins."""
     name = f"{plugin.get('name', '')} {plugin.get('filename', '')}".lower().replace("_", "").replace("-", "")
     kind = next((what for part, what in AERODYNAMICS.items() if part in name), None)
     at = next(filter(None, map(plugin.findtext, ("link_name", "linkName", "joint_name"))), None)

@@ -129,7 +129,7 @@ def _tree(element: Element, path: Path) -> SdfTree:
 
 
 def _rotor(tree: SdfTree, motor: Motor, weights: dict[str, Weight], from_root: np.ndarray) -> FoundRotor:
-    """Return the place and axis of a motor: the centre of mass of its link, and z of the link."""
+    """Return position and axis of a motor: centre of mass and z axis of its link."""
     if motor.link not in tree.links or motor.joint not in tree.joints:
         raise ConfigError(
             f"{tree.where}: there is no link {motor.link!r}, or no joint {motor.joint!r}, for a motor. Known: "
@@ -202,7 +202,7 @@ class _Reader:
         return lambda joint: self._moves(joint) and tilts_rotor(joint)
 
     def losses(self) -> Iterator[str]:
-        """Yield wings and joints without which the vehicle flies otherwise."""
+        """Yield the wings and joints that the import loses."""
         yield from filter(None, (force_left_out(plugin) for _, plugin in self.tree.plugins))
         for joint, names in self._tilting.items():
             yield f"joint {joint}, which moves {', '.join(names)}, is welded"
@@ -223,7 +223,7 @@ class _Reader:
             yield f"links without a joint, welded to the others: {', '.join(loose)}"
 
     def shapes(self) -> Iterator[CollisionShape]:
-        """Yield the collision shapes of all links; boxes around what has no shape of its own here."""
+        """Yield the collision shapes of all links, with bounding boxes in place of unsupported shapes."""
         for name, link in self.tree.links.items():
             for collision in link.findall("collision"):
                 pose = self.from_root @ self.tree.pose_on(collision, name)

@@ -156,7 +156,7 @@ def _solid(tree: SdfTree, link: str, collision: Element) -> _Solid | None:
 
 
 def mesh_of(tree: SdfTree, link: str, shape: Element) -> "trimesh.Trimesh":
-    """Return the mesh of a collision, scaled [m]; raise ``ConfigError`` if it is not there or only a part of it is meant."""
+    """Return the mesh of a collision, scaled [m]; raise ``ConfigError`` if it is missing or a submesh."""
     at = f"{tree.where}: mesh of {link}"
     if shape.find("submesh") is not None:
         raise ConfigError(f"{at}: a submesh is not read. Give the file of that part alone")
@@ -176,7 +176,7 @@ def _mesh_solid(mesh: "trimesh.Trimesh", at: str) -> _Solid:
 
 
 def _centred(volume: float, across: float, other: float, along: float, height: float = 0.0) -> _Solid:
-    """Return a solid with its moments per volume [m²] about x, y, z through the centre, which is at a height."""
+    """Return a solid with its centre at a height, from its moments per volume [m²] about the centre's axes."""
     return _Solid(volume, np.array([0.0, 0.0, height]), volume * np.diag([across, other, along]))
 
 

@@ -58,7 +58,7 @@ class SdfTree:
     _attached: dict[str, str] = field(default_factory=dict)  # Frame: what it is attached to, or its canonical link
 
     def take(self, model: Element, scope: Scope) -> None:
-        """Take what a model holds, and place the model itself if nobody has."""
+        """Add the content of a model, and its own frame if it has none yet."""
         self._places.setdefault(scope.frame, _Place("", np.eye(4)))
         before = list(self.links)
         for child in model:
@@ -82,7 +82,7 @@ class SdfTree:
         self._attached.setdefault(scope.frame, self._canonical(model, scope, before))
 
     def scoped(self, name: str | None, scope: Scope) -> str:
-        """Return the name in the outermost model of what an element names."""
+        """Return the full name, in the outermost model, of a name within a scope."""
         own = (name or "").strip()
         if own == MODEL:
             return scope.frame
@@ -124,7 +124,7 @@ class SdfTree:
         self._places[name] = _Place(base, pose, placement)
 
     def _own(self, element: Element, name: str, scope: Scope, default: str) -> tuple[str, np.ndarray]:
-        """Return in which frame an element is placed, and its pose there."""
+        """Return the reference frame of an element and its pose there."""
         pose = element.find("pose")
         if pose is None:
             return default, np.eye(4)

@@ -8,7 +8,7 @@ from aerial_gym.robots.importers.found import vec3
 
 
 def shape_of(part: PartCfg) -> CollisionShape:
-    """Return a sphere, capsule or box as it is, and a box around a cylinder or around the bounds of a mesh."""
+    """Return spheres, capsules and boxes unchanged, and the bounding box of a cylinder or mesh."""
     shape = part.shape
     if shape.kind == "sphere":
         return SphereCfg(center=part.position, radius=shape.radius or 0.0)
@@ -33,7 +33,7 @@ def _box_around_mesh(part: PartCfg) -> BoxCfg:
 
 
 def collision_of(shapes: Sequence[CollisionShape], name: str) -> CollisionCfg:
-    """Return shapes by their kinds; ``name`` says of which file."""
+    """Return the collision configuration of shapes; ``name`` is the file, for errors."""
     return CollisionCfg(
         spheres=tuple(shape for shape in shapes if isinstance(shape, SphereCfg)),
         boxes=tuple(shape for shape in shapes if isinstance(shape, BoxCfg)),

@@ -44,7 +44,7 @@ def _pairs(
 
 
 def _named(element: Element, parent: Element, owner: str) -> tuple[str, str]:
-    """Return the kind of an element and its name, or that of what it belongs to."""
+    """Return the kind of an element and its name, or its owner's name."""
     name = element.get("name") or element.get("reference") or element.findtext("uri") or element.get("filename")
     more = element.get("type") or element.get("filename")
     if name is None:

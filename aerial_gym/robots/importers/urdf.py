@@ -104,7 +104,7 @@ def read(path: Path, rotor_links: str, lag: float | None, *, take_properties: bo
 
 
 def _unused(root: ElementTree.Element, *, joints: bool) -> Iterator[str]:
-    """Yield the elements that are not read; what is seen of a link counts only where nothing of it collides."""
+    """Yield the unused elements; visual shapes count only on links without collision shapes."""
     used: Tags = {
         "link": {
             "inertial": {tag: {} for tag in ("origin", "mass", "inertia")},
@@ -144,7 +144,7 @@ def _weightless(
 
 
 def _motor(motor: Motor, robot: "URDF", poses: dict[str, np.ndarray], on: dict[str, str], where: str) -> FoundRotor:
-    """Return the place and axis of a motor: the centre of mass of its link with all fixed to it, and z of the link.
+    """Return position and axis of a motor: centre of mass of its link with fixed children, and the link's z axis.
 
     Gazebo joins links with fixed joints to one before it simulates them.
     """
@@ -181,7 +181,7 @@ def _tilted(joint: "Joint", rotors: Sequence[FoundRotor], robot: "URDF", poses: 
 
 
 def _hub(robot: "URDF", links: Sequence[str], poses: dict[str, np.ndarray]) -> np.ndarray:
-    """Return the centre of mass of links [m], (3,), for simulators push there; without mass that of the first one's frame."""
+    """Return the centre of mass of links [m], (3,), where simulators apply thrust; without mass the first link's origin."""
     inertials = [(robot.link_map[link].inertial, poses[link]) for link in links]
     frames = [
         (own.mass or 0.0, pose if own.origin is None else pose @ own.origin)

@@ -170,7 +170,7 @@ class LinksAmongObstacles:
 
     @torch.no_grad()
     def after_substep(self, k: int, before: MassState, state: BodyState) -> None:
-        """Sweep all links, move the obstacles, and look; launched on torch's current stream, not waited for."""
+        """Sweep all links and move the obstacles; launched on torch's current stream, not waited for."""
         del k, before, state
         self._places.refresh()
         with on_torch_stream(self._stream):

@@ -38,7 +38,7 @@ class _Joints:
 
 @wp.func
 def _place(joints: _Joints, k: int, x: wp.vec3, q: wp.quat, joint_pos: float):
-    """Return position and attitude of the frame of joint k's link from those of the link on which it sits."""
+    """Return the pose of joint k's link from that of its parent link."""
     bend = joint_pos - joints.reference[k]
     if joints.slides[k]:
         return x + wp.quat_rotate(q, bend * joints.axis[k]), q
@@ -59,7 +59,7 @@ def _follow_links(
     position_out: wp.array3d[wp.vec3],  # (K M + 1, E, L) world [m]
     attitude_out: wp.array3d[wp.quat],  # (K M + 1, E, L) link to world, xyzw
 ):
-    """Write the frames of all links of an environment after a piece of a substep, along which base and joints move evenly."""
+    """Write all link poses of an environment within a substep, at constant velocity of base and joints."""
     i, e = wp.tid()
     first = i // pieces
     last = wp.min(first + 1, position.shape[0] - 1)
@@ -95,7 +95,7 @@ def _place_links(
     ang_vel_world_out: wp.array2d[wp.vec3],  # (E, L) world [rad/s]
     ang_vel_out: wp.array2d[wp.vec3],  # (E, L) axes of the link [rad/s]
 ):
-    """Write the frames of all links of an environment and how they move."""
+    """Write pose and velocity of all links of an environment."""
     e = wp.tid()
     position_out[e, 0] = position[e]
     attitude_out[e, 0] = attitude[e]

@@ -38,7 +38,7 @@ class TailServo:
 
 
 def tail_servo(robot: RobotCfg, *, dt: float, gravity: float = STANDARD_GRAVITY) -> TailServo:
-    """Return the law of a robot whose tail rotor sits alone on a joint about body x, behind the centre of mass.
+    """Return the servo law of a tricopter: one tail rotor on a joint about body x, behind the centre of mass.
 
     With the tail at the distance L behind it, its share T of the weight and the moment of inertia J, ``J r' = L T angle`` about
     the trim. The loop is as quick as the servo's lag (damping over stiffness) and a time step allow, and at most so quick that

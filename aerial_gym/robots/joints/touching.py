@@ -20,7 +20,7 @@ from aerial_gym.physics.solids import Solid, Solids
 def shapes_on_links(
     robot: RobotCfg, *, device: torch.device, scene: Scene | None = None, moves: bool = False
 ) -> tuple[Tensor, LinkShapes]:
-    """Return the spheres that touch the ground, axes of their links, (C, 4) [m], and what touches what of a robot with joints.
+    """Return the ground contact spheres in link axes, (C, 4) [m], and the contact shapes of a robot with joints.
 
     With ``between_links`` or obstacles these are also the shapes that push each other, or that obstacles push.
 

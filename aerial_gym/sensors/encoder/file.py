@@ -70,7 +70,7 @@ class Encoder(nn.Module):
     """
 
     def __init__(self, network: Autoencoder, seen: SeenCfg, *, trained: Mapping[str, object]) -> None:
-        """Take a network, what its images are, and what is known of its training (texts and numbers)."""
+        """Take a network, its image format, and data of its training (texts and numbers)."""
         super().__init__()
         self.cfg, self.seen, self.trained = network.cfg, seen, dict(trained)
         self.layers = deepcopy(nn.Sequential(network.encoder, network.mean))
@@ -80,7 +80,7 @@ class Encoder(nn.Module):
 
     @property
     def num_latents(self) -> int:
-        """Numbers that stand for an image, L."""
+        """Number of latents, L."""
         return self.cfg.latents
 
     def forward(self, shares: Tensor) -> Tensor:

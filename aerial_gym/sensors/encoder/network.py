@@ -39,7 +39,7 @@ class AutoencoderCfg:
 def convolutions(
     shape: tuple[int, ...], channels: tuple[int, ...], activation: str
 ) -> tuple[list[nn.Module], list[tuple[int, int, int]]]:
-    """Return layers that halve an image (C, H, W) until it is small, an activation behind each, and the shapes they pass.
+    """Return stride-2 convolutions with activations that shrink an image (C, H, W), and the shapes between them.
 
     The shapes begin with that of the image; with n layers there are n + 1.
     """
