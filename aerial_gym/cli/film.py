@@ -44,7 +44,7 @@ def check_film(file: Path) -> None:
 
 
 def visible_robot(name: str, folder: str) -> str:
-    """Return a file, in a folder, of a robot that cameras see: as it says, or arms and rotors, those in front in red."""
+    """Write and return a robot file with visible shapes: its own, or arms and rotors, the front ones in red."""
     from aerial_gym.config import dump_yaml
     from aerial_gym.robots.catalog import robot_by_name
 

@@ -40,7 +40,7 @@ class ImportRobotCmd:
     """One line for people who choose a robot."""
 
     def run(self) -> int:
-        """Import, write and say what is not used; return the exit status."""
+        """Import, write and list unused elements; return the exit status."""
         from aerial_gym.robots.catalog import robot_by_name
         from aerial_gym.robots.importers import RotorHints, import_robot
 

@@ -106,7 +106,7 @@ class PlayCmd:
         return 0
 
     def _show(self, dump: Path) -> int:
-        """Say on stderr what ended each row, and write its last steps."""
+        """Report the cause of each row's end on stderr, and write its last steps."""
         from aerial_gym.robots.watch import read_dump
 
         table, sentences = read_dump(dump)

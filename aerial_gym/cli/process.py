@@ -12,7 +12,7 @@ _started: float | None = None
 
 
 def begin() -> None:
-    """Note the start of this process, load what a training needs, keep compiled Python code; called by ``entry``."""
+    """Note the start of this process, preload libraries of a training, cache bytecode; called by ``entry``."""
     global _started
     _started = time.perf_counter() - time.process_time()  # the interpreter's own start counts
     keep_bytecode()

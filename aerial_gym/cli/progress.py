@@ -9,7 +9,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """Give a function that takes what is being done and the share of the work that is done."""
+    """Yield a function that takes a description of the work and the share that is done."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),

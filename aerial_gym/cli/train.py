@@ -175,7 +175,7 @@ class TrainCmd:
 
 
 def lasting_name(task: str) -> str:
-    """Return a task by a name that holds in every folder."""
+    """Return a task's name, with an absolute path for a file."""
     file, colon, name = task.rpartition(":")
     if file.endswith(".py"):
         return f"{Path(file).resolve()}{colon}{name}"

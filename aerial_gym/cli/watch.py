@@ -135,7 +135,7 @@ def _alarms(
 
 
 def _name_bad(named: int, sentence: str) -> bool:
-    """Print why a row is left out, for the first ``SHOWN`` of them; return whether it was printed."""
+    """Print the reason for a left-out row, for the first ``SHOWN`` rows; return whether it was printed."""
     if named < SHOWN:
         print(f"row left out: {sentence}", file=sys.stderr)
     return named < SHOWN

@@ -51,7 +51,7 @@ class BaseTask(gymnasium.Env):
         raise NotImplementedError(f"{type(self).__name__}.step: the task class must define it")
 
     def close(self) -> None:
-        """Drop what the simulation holds of device memory, if there is one in ``sim_env``."""
+        """Release the device memory of ``sim_env``, if there is one."""
         env = getattr(self, "sim_env", None)
         if env is not None:
             env.delete_env()

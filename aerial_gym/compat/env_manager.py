@@ -86,7 +86,7 @@ class EnvManager:
             self.env.render()
 
     def delete_env(self) -> None:
-        """Drop what holds device memory; the tasks there call this, and it did not exist."""
+        """Release device memory; tasks of that simulator call this method, which it lacks."""
         self.env.close()
 
     def mask_of(self, env_ids: Tensor | Sequence[int]) -> Tensor:
@@ -151,7 +151,7 @@ class Physics:
         self.num_assets_per_env = env.cfg.num_assets
 
     def write_to_sim(self) -> None:
-        """Take rows of ``robot_state_tensor``, (E, 13), that a script has written into the physics; others stay as they are."""
+        """Copy the rows of ``robot_state_tensor``, (E, 13), that a script has written, into the physics."""
         gtd = self._env.gtd
         state = gtd["robot_state_tensor"]
         keys = ("robot_position", "robot_orientation", "robot_linvel", "robot_angvel")

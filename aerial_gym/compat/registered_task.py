@@ -37,7 +37,7 @@ class RegisteredTask(gymnasium.Env):
     """Name in ``aerial_gym.task_registry``."""
 
     def __init_subclass__(cls, **more: Any) -> None:
-        """Refuse a class whose methods would not be called."""
+        """Refuse a class with hooks that this task never calls."""
         super().__init_subclass__(**more)
         found = [name for name in HOOKS if name in vars(cls)]
         if found:
@@ -107,7 +107,7 @@ class RegisteredTask(gymnasium.Env):
         """Show nothing; images are in ``sim_env.global_tensor_dict`` after every step."""
 
     def close(self) -> None:
-        """Drop what holds device memory."""
+        """Release device memory."""
         self.sim_env.delete_env()
 
     def _five(

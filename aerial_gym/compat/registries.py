@@ -72,14 +72,14 @@ class _Configurations(_Names):
     load: Callable[[Any], Any]
 
     def config_class(self, name: str) -> Any:
-        """Return the configuration class of a name: the script's, or one that stands for ours (a file, too)."""
+        """Return the configuration class of a name: the script's, or one generated from this package's entry or file."""
         found = None if _is_file(name) else self._find(name)
         if found is not None:
             return found if isclass(found) else self.table.class_of(name, found)
         return self.built_in[name] if name in self.built_in else self.table.class_of(str(name), self.load(name))
 
     def resolve(self, name: str) -> Any:
-        """Return our configuration for a name; a file or a name of ours as it is."""
+        """Return this package's configuration for a name; its own names and files unchanged."""
         found = None if _is_file(name) else self._find(name)
         if found is None:
             found = self.built_in.get(name)
@@ -173,7 +173,7 @@ class ControllerRegistry(_Names):
     kind, ours = "controller", CONTROLLERS
 
     def register_controller(self, controller_name: str, controller_class: Any, controller_config: Any) -> None:
-        """Register a law of ours, by the class of that simulator, with a class of gains.
+        """Register a control law by its class in that simulator, with a class of gains.
 
         Raises:
             ConfigError: If the law is the script's own, or a gain is impossible.
@@ -184,7 +184,7 @@ class ControllerRegistry(_Names):
     get_controller_names = _Names.names
 
     def get_controller_class(self, controller_name: str) -> Any:
-        """Return the class that stands for the law; None for one that only we have."""
+        """Return the law's class in that simulator; None for laws of this package alone."""
         found = self._find(controller_name)
         if found is not None:
             return found[0]
@@ -202,7 +202,7 @@ class ControllerRegistry(_Names):
         )
 
     def resolve(self, name: str) -> Any:
-        """Return our controller for a name; a name of ours as it is."""
+        """Return this package's controller for a name; its own names unchanged."""
         classes = self._classes(name)
         return name if classes is None else controllers.controller_of(*classes)
 
@@ -212,7 +212,7 @@ class ControllerRegistry(_Names):
         return {} if classes is None else controllers.drawn_gains(*classes)
 
     def _classes(self, name: str) -> tuple[Any, Any] | None:
-        """Return law and gains; None for a controller of ours with gains of the robot."""
+        """Return law and gains; None for a controller of this package with the robot's gains."""
         found = self._find(name)
         if found is not None:
             return found

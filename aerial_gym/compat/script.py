@@ -31,7 +31,7 @@ def run_script(path: str | Path, arguments: Sequence[str] = ()) -> dict[str, Any
 
 
 def without_isaacgym(source: str) -> str:
-    """Return Python source in which imports of ``isaacgym`` are taken out, and nothing else; lines keep their numbers."""
+    """Return Python source without its ``isaacgym`` imports; line numbers stay."""
     lines = source.splitlines(keepends=True)
     for node in ast.walk(ast.parse(source)):
         if not isinstance(node, (ast.Import, ast.ImportFrom)) or not _imports_isaacgym(node):

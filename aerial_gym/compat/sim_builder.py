@@ -87,14 +87,14 @@ class SimBuilder:
         return self._manager
 
     def delete_env(self) -> None:
-        """Drop what the last environment holds of device memory."""
+        """Release the device memory of the last environment."""
         if self._manager is not None:
             self._manager.delete_env()
             self._manager = None
 
 
 def _with_number(env_class: Any, num_envs: int) -> Any:
-    """Return a class of its own for the number of environments that were built, which scripts read there."""
+    """Return a subclass with the built number of environments, which scripts read from the class."""
     cfg = fresh(env_class)
     if hasattr(cfg, "env"):
         cfg.env.num_envs = num_envs

@@ -27,7 +27,7 @@ class Key:
 
 
 def _own(remark: str = "", key: str | None = None) -> Key:
-    """Return a key that is a key of ours; of another name if one is given."""
+    """Return a key with a counterpart in the GTD, of another name if given."""
     return Key(
         ours=f'gtd["{key}"]' if key else "the same", remark=remark, read=(lambda env: env.gtd[key]) if key else None
     )

@@ -49,7 +49,7 @@ class Agreement:
 
 
 class Comparison:
-    """Outputs of a file beside those of torch, batch by batch."""
+    """Comparison of a file's outputs with torch, batch by batch."""
 
     def __init__(self, names: Sequence[str]) -> None:
         """Take the names of the outputs, N."""
@@ -88,7 +88,7 @@ class Comparison:
 
 
 def not_finite(width: int, entries: Sequence[int]) -> Tensor:
-    """Return inputs (3 K, O) of zeros, in each of which one of K entries is NaN, infinite or minus infinite."""
+    """Return zero inputs (3 K, O), each with one of K entries set to NaN, infinity or minus infinity."""
     places = torch.nn.functional.one_hot(torch.tensor(entries), width).bool()
     return torch.cat([torch.where(places, value, 0.0) for value in (nan, inf, -inf)])
 

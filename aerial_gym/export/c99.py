@@ -25,7 +25,7 @@ LINE = 110
 
 
 def header(layout: Layout, *, work: int = 0) -> str:
-    """Return the header: sizes, state, two functions, and what every entry means; ``work``: numbers of an image's layer."""
+    """Return the header: sizes, state, two functions, and the meaning of every entry; ``work`` sizes the image layers."""
     n, upper = layout.name, layout.name.upper()
     memory = f"\n    float memory[{layout.memory}];" if layout.memory else ""
     memory += f"\n    float work[2][{work}];" if layout.images else ""

@@ -102,7 +102,7 @@ def looking(policy: FlownPolicy, layout: Layout, array: Callable[[str, Tensor], 
 def passing(
     network: nn.Module, shape: tuple[int, int, int], array: Callable[[str, Tensor], str], *, name: str, out: str
 ) -> Looking:
-    """Return the C code of convolutions and the dense layer behind them, without its activation.
+    """Return the C code of convolutions and the final dense layer, without its activation.
 
     Args:
         network: Holds these layers in order.

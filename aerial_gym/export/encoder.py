@@ -75,7 +75,7 @@ void rows(int rows, const float *images, float *latents) {{
 
 
 def runner_of(encoder: Encoder, file: Path) -> Callable[[Tensor], Tensor]:
-    """Return the function that a file of an encoder is: images (B, H, W) to latents (B, L).
+    """Return the function of an encoder file, images (B, H, W) to latents (B, L).
 
     Raises:
         CapabilityError: If the package or compiler that runs the file is missing.
@@ -94,7 +94,7 @@ def runner_of(encoder: Encoder, file: Path) -> Callable[[Tensor], Tensor]:
 
 @torch.no_grad()
 def compare_encoder(encoder: Encoder, file: Path) -> Comparison:
-    """Return the latents of a file beside torch, on ``CHECKED`` drawn images and on some that are not finite.
+    """Return the comparison of a file's latents with torch, on ``CHECKED`` random images and some with NaN or infinity.
 
     Raises:
         CapabilityError: If the package or compiler that runs the file is missing.

@@ -121,7 +121,7 @@ def sees_latents(layout: Layout) -> bool:
 
 
 def _encoders(encoder: str | None, layout: Layout, out: Path, to: list[str], *, check: bool) -> list[Exported]:
-    """Write the encoder of a policy that sees latents beside it."""
+    """Write the image encoder of a policy that observes latents."""
     assert encoder is not None
     module = load_encoder(encoder)
     files = (write_encoder(encoder, out / f"{layout.name}_encoder{ENDINGS[each]}") for each in to)
@@ -144,7 +144,7 @@ def _checked(to: str, file: Path, comparison: Callable[[Path], Comparison], chec
 
 @torch.no_grad()
 def compare(flown: FlownPolicy, layout: Layout, file: Path) -> Comparison:
-    """Return an exported policy beside torch, on drawn observations and on some that are not finite."""
+    """Return the comparison of an exported policy with torch, on random observations and some with NaN or infinity."""
     found, step = Comparison(flown.outputs), load_exported(file).step
     exact, generator = deepcopy(flown).double(), torch.Generator().manual_seed(0)
     rows = (CHECKED_WITH_IMAGES if layout.images else CHECKED) // STEPS
@@ -164,7 +164,7 @@ def compare(flown: FlownPolicy, layout: Layout, file: Path) -> Comparison:
 
 
 def drawn_image(image: SeenImage, rows: int, generator: torch.Generator) -> Tensor:
-    """Return random images (B, C, H, W): walls at drawn distances, some of whose pixels are noise."""
+    """Return random images (B, C, H, W): walls at random distances with some noise pixels."""
     shape = (rows, *image.shape)
     walls = torch.rand(rows, image.shape[0], 1, image.shape[2], generator=generator).expand(shape)
     noise, chosen = torch.rand(shape, generator=generator), torch.rand(shape, generator=generator)

@@ -162,7 +162,7 @@ def layout_of(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, source
 
 
 def _image(key: str, shape: tuple[int, ...], task: Task) -> SeenImage:
-    """Return an image of a task as it is seen."""
+    """Return the description of an image observation."""
     cfg = task.cfg.images[key]
     spec = task.env.gtd.spec(cfg.key)
     largest, without = scale_of(task.env.gtd[cfg.key], cfg, task.env.sensor_manager)
@@ -179,5 +179,5 @@ def _image(key: str, shape: tuple[int, ...], task: Task) -> SeenImage:
 
 
 def _meaning(summary: str) -> str:
-    """Return the first line about a term without what belongs to batches."""
+    """Return a term's summary without batch dimensions."""
     return re.sub(r",? \(E, [^)]*\)", "", summary).removeprefix("Return ").rstrip(".")

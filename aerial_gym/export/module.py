@@ -58,7 +58,7 @@ class FlownPolicy(nn.Module):
         return tuple(nan_unless(finite, output) for output in outputs)
 
     def normalized(self) -> tuple[Tensor, Tensor, float | None]:
-        """Return mean and deviation that the scaled vectors are normalised by, (O,), and the limit of what comes out.
+        """Return mean and standard deviation of the normaliser for scaled vectors, (O,), and its output limit.
 
         Without a normaliser they are 0, 1 and None.
         """
@@ -82,13 +82,13 @@ class FlownPolicy(nn.Module):
 
     @property
     def names(self) -> tuple[list[str], list[str]]:
-        """Return the names of what goes in and of what comes out."""
+        """Return the names of inputs and outputs."""
         inputs, outputs = ["observation", *self._images, "memory"], ["command", "action", "memory_after"]
         return (inputs, outputs) if self._layout.memory else (inputs[:-1], outputs[:2])
 
     @property
     def outputs(self) -> list[str]:
-        """Name of each entry of what comes out, in order."""
+        """Name of each output entry, in order."""
         made = self._layout
         counted = [("action", made.num_actions), ("memory", made.memory)]
         return [*made.command, *(f"{name} {i}" for name, count in counted for i in range(count))]

@@ -33,7 +33,7 @@ class ExportedPilot:
     """Flies an exported policy, as ``evaluate`` wants it."""
 
     def __init__(self, layout: Layout, step: Step) -> None:
-        """Take what goes in and out, and what is called."""
+        """Take inputs, outputs and the function."""
         self.layout, self.step = layout, step
         scale = [torch.full((seen.count,), seen.scale) for seen in layout.observation]
         self._scale, self._keys = torch.cat(scale), list(dict.fromkeys(seen.key for seen in layout.observation))
@@ -41,7 +41,7 @@ class ExportedPilot:
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """What it sees of an environment, by key of the observation."""
+        """Shapes of its inputs for one environment, by observation key."""
         counts = {key: sum(s.count for s in self.layout.observation if s.key == key) for key in self._keys}
         return {key: (count,) for key, count in counts.items()} | {each.key: each.shape for each in self.layout.images}
 
@@ -60,7 +60,7 @@ class ExportedPilot:
         return action.to(given.device)
 
     def reset(self, mask: Tensor | None = None) -> None:
-        """Forget what was seen in the environments of ``mask``, bool (E,), or in all."""
+        """Clear the memory of the environments in ``mask``, bool (E,), or of all."""
         if mask is None or self._memory is None:
             self._memory = None
         else:
@@ -113,7 +113,7 @@ def onnx_step(file: Path, layout: Layout) -> Step:
 
 
 def compiled(file: Path, driver: str) -> ctypes.CDLL:
-    """Return a C file with a driver of it as a library for this machine.
+    """Compile a C file with its driver into a shared library for this machine.
 
     Raises:
         CapabilityError: If there is no compiler, or it refuses them.

@@ -43,7 +43,7 @@ class Ranks:
         return tensor.div_(self.size) if self.size > 1 else tensor
 
     def sum_(self, tensor: Tensor) -> Tensor:
-        """Replace a tensor by its sum over all processes, and return it; the same bits in each of them."""
+        """Replace a tensor by its sum over all processes and return it, bit-equal in all."""
         if self.joined:
             with _others_may_end():
                 torch.distributed.all_reduce(tensor)
@@ -71,13 +71,13 @@ class Ranks:
                     torch.distributed.broadcast(tensor, 0)
 
     def told(self, value: float) -> float:
-        """Return the number that rank 0 gives."""
+        """Return a number from rank 0 in all processes."""
         number = torch.tensor(value, dtype=torch.float64)
         self.share_([number])
         return float(number)
 
     def told_of(self, value: Value) -> Value:
-        """Return the object that rank 0 gives."""
+        """Return an object from rank 0 in all processes."""
         if not self.joined:
             return value
         found: list[Any] = [value if self.leads else None]
@@ -90,7 +90,7 @@ class Ranks:
         return bool(self.sum_(torch.tensor(float(flag))) > 0.0)
 
     def of_others(self, value: Mapping[str, object]) -> list[Mapping[str, Any]]:
-        """Return, in rank 0, what the other processes give, in their order; in them, nothing."""
+        """Return the values of the other processes by rank, in rank 0; an empty list elsewhere."""
         if self.size == 1:
             return []
         found: list[Any] | None = [None] * self.size if self.leads else None
@@ -104,7 +104,7 @@ ALONE = Ranks()
 
 
 def launched_rank() -> int:
-    """Return the number of this process among those that ``torchrun`` started; 0 without it."""
+    """Return the rank of this process under ``torchrun``; 0 without it."""
     return int(os.environ["RANK"]) if all(name in os.environ for name in VARIABLES) else 0
 
 
@@ -129,7 +129,7 @@ def own_device(name: str) -> str:
 
 @contextmanager
 def joined_ranks(device: str) -> Iterator[Ranks]:
-    """Give the processes that ``torchrun`` started, joined on a device; ``ALONE`` without it.
+    """Join the process group of ``torchrun`` on a device; ``ALONE`` without it.
 
     Raises:
         ConfigError: If there is no GPU for this process.
@@ -158,7 +158,7 @@ def _on_cpu(value: Any) -> Any:
 
 @contextmanager
 def _others_may_end() -> Iterator[None]:
-    """Say it where another process has ended in the middle of what all do.
+    """Raise an error if another process has ended during a collective operation.
 
     Raises:
         TrainingError: If it has.

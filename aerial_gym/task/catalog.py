@@ -164,7 +164,7 @@ def imported(name: str) -> object:
 
 
 def _import(name: str, folder: Path) -> ModuleType:
-    """Return a module by its name, or by that of its file, which may stand in a folder.
+    """Return the module of a name or file, relative to a folder.
 
     Raises:
         UnknownNameError: If there is none.
@@ -180,7 +180,7 @@ def _import(name: str, folder: Path) -> ModuleType:
 
 
 def _module_of(path: Path) -> ModuleType:
-    """Return the module of a file, run once in a process: what it registers, it registers once."""
+    """Return the module of a file, run once per process so that it registers its entries once."""
     path = path.resolve()
     known = f"aerial_gym_task_{path.stem}_{sha256(str(path).encode()).hexdigest()[:8]}"
     if known in sys.modules:

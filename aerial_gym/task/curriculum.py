@@ -17,7 +17,7 @@ from aerial_gym.task.step.by_row import ByRow
 
 
 def next_level(level: Tensor, finished: Tensor, succeeded: Tensor, cfg: CurriculumCfg) -> tuple[Tensor, Tensor, Tensor]:
-    """Return level, finished and successful episodes after a look at them.
+    """Return level, finished and successful episodes after the decision on the level.
 
     Args:
         level: Obstacle rows in use, integer, (1,).
@@ -73,7 +73,7 @@ class Curriculum:
         self.load({"level": self.cfg.first_level, "finished": 0, "succeeded": 0})
 
     def count(self, ended: Tensor, success: Tensor) -> None:
-        """Count the episodes that ended in this step and those of them that succeeded, each bool (E,), and decide."""
+        """Count the ended and the successful episodes of this step, each bool (E,), and decide on the level."""
         finished, succeeded = ended.sum(), success.sum()
         if self.of_all is not None:
             finished, succeeded = self.of_all(torch.stack((finished, succeeded)))
@@ -113,7 +113,7 @@ class Curriculum:
         self._assets.take_num_obstacles(count)
 
     def _decision(self, level: Tensor, finished: Tensor, succeeded: Tensor) -> tuple[Tensor, ...]:
-        """Return level and counts after a look at them, the difficulty and the number of obstacles, each (1,)."""
+        """Return level and counts after the decision, the difficulty and the number of obstacles, each (1,)."""
         level, finished, succeeded = next_level(level, finished, succeeded, self.cfg)
         return level, finished, succeeded, *self._following(level)
 

@@ -177,7 +177,7 @@ def _start_of(track: Mapping[str, Any], spread: _Spreads, env: EnvironmentCfg) -
 
 
 def _share(point: Sequence[float], env: EnvironmentCfg) -> Vec3:
-    """Return a place [m] as a share of the bounds, which are always the same."""
+    """Return a position [m] as a share of the constant bounds."""
     lower, upper = env.bounds_lower_low, env.bounds_upper_low
     return _vector([(p - a) / (b - a) for p, a, b in zip(point, lower, upper, strict=True)])
 
@@ -195,7 +195,7 @@ def _randomize_of(spread: _Spreads, robot: RobotCfg) -> dict[str, RandomizeCfg]:
 
 
 def _forces_of(disturbances: Mapping[str, Any], freq: float) -> dict[str, RandomizeCfg]:
-    """Return the largest forces of the effect ``random_force``, which is drawn at every step of the simulation there."""
+    """Return the force ranges of the effect ``random_force``, which the benchmark draws at every simulation step."""
     for name in disturbances:
         if name not in ("action", "dynamics"):
             raise ConfigError(f"env.disturbances.{name}: unknown. Known: action, dynamics")
@@ -212,7 +212,7 @@ def _forces_of(disturbances: Mapping[str, Any], freq: float) -> dict[str, Random
 
 
 def _command_noise_of(disturbances: Mapping[str, Any]) -> float:
-    """Return the deviation of the noise on commands, there in rad and N, here in weights and rad/s."""
+    """Return the standard deviation of command noise, converted from rad and N to weights and rad/s."""
     if "action" not in disturbances:
         return 0.0
     given = disturbances["action"]

@@ -95,7 +95,7 @@ def resolve_rewards(cfg: TaskCfg, values: Values, command: tuple[str, ...]) -> d
 def resolve_terminations(
     cfg: TaskCfg, values: Values, command: tuple[str, ...]
 ) -> dict[str, tuple[BoundTerm, TerminationCfg]]:
-    """Return the terminations by name; raises what ``resolve_rewards`` raises."""
+    """Return the terminations by name, with the errors of ``resolve_rewards``."""
     found = {}
     for name, entry in cfg.terminations.items():
         bound = _bound(TERMINATIONS, entry.term, entry.params, f"termination {name!r}", cfg, values, command)

@@ -31,7 +31,7 @@ POSSIBLE = 1e-6
 
 
 def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) -> TaskCfg:
-    """Return a task whose action is ``rotor_range`` with the numbers that this is for a robot; another one as it is.
+    """Return a task with the action ``rotor_range`` resolved for a robot; other tasks unchanged.
 
     An action of -1 and 1 is then the lowest and the highest speed [rad/s] or thrust [N] that a rotor can be told, whichever the
     controller takes, and its entries belong to places (``order_of_places``). With ``params: {places: 4}`` a robot with another
@@ -75,7 +75,7 @@ def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) ->
 
 
 def mix_of_four(robot: RobotCfg) -> tuple[tuple[float, ...], ...]:
-    """Return the share of its largest thrust that each rotor gives for a whole one of each rotor of a quadrotor, (R, 4).
+    """Return the mixing matrix (R, 4) from the four thrust shares of a quadrotor to the thrust shares of R rotors.
 
     Lift along body z and each torque alone are made with the least thrusts that make nothing else. A whole lift is where the
     first rotor is at its end, a whole torque where all are in the root mean square. So a quadrotor whose arms form a square is
@@ -101,7 +101,7 @@ def mix_of_four(robot: RobotCfg) -> tuple[tuple[float, ...], ...]:
 
 
 def _is_square(robot: RobotCfg, order: Sequence[int]) -> bool:
-    """Return whether a robot has four rotors that turn as those of a quadrotor do and are told speeds."""
+    """Return whether a robot is a quadrotor with speed commands and the usual spins."""
     spins = [spin for _, spin in sorted(zip(order, (mount.spin for mount in robot.mounts.layout), strict=True))]
     return spins == [1, -1, 1, -1] and all(rotor.mode == "speed" for rotor in robot.rotor_types)
 

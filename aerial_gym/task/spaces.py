@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def key_of(group: str) -> str:
-    """Return the key under which a group of observations is given."""
+    """Return the observation key of a group."""
     return OBSERVATIONS if group == POLICY else group
 
 

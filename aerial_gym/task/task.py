@@ -200,7 +200,7 @@ class Task:
             )
 
     def detach(self) -> None:
-        """Let gradients end at this instant: what comes later is differentiated back to here, and no further."""
+        """Cut the gradients at this instant: later losses are differentiated back to here, and no further."""
         self.env.detach()
         if self.values.graph is not None:
             self.values.graph.detach()
@@ -231,7 +231,7 @@ class Task:
         return self._watch.look(wait=True)
 
     def dump(self, path: str | Path) -> int:
-        """Write the last steps of the first rows that were not finite as CSV; return how many rows. Waits for the device.
+        """Write the last steps of the first non-finite rows as CSV; return the number of rows. Waits for the device.
 
         Raises:
             ConfigError: If ``watch`` was not called.
@@ -322,7 +322,7 @@ class Task:
         return found | {name: frames.clone() for name, frames in self._images.frames.items()}
 
     def _look(self, *, begun: bool = False) -> None:
-        """Read the sensors, and what is made of their images; ``begun``: only where an episode has just begun."""
+        """Read the sensors and update image terms; ``begun``: only where an episode has just begun."""
         self.env.render(self.env.random.mask if begun else None)
         self._cells.measure()
         self._latents.measure()
@@ -343,7 +343,7 @@ class Task:
 
     @property
     def observed(self) -> dict[str, list[Entry]]:
-        """Terms in the order in which they stand side by side, by key of the observation."""
+        """Terms in the order of their columns, by observation key."""
         return {key_of(group): entries for group, entries in self._observer.groups.items()}
 
     @property
@@ -409,7 +409,7 @@ class Task:
             self.values.graph.forget()
 
     def close(self) -> None:
-        """Name what was not finite and not yet named, and release the simulation; a later call raises ``ClosedError``."""
+        """Report non-finite rows not yet reported, and release the simulation; a later call raises ``ClosedError``."""
         self._watch.look(wait=True)
         self._graph, self._capture_at_reset = None, False
         self.env.close()

@@ -109,7 +109,7 @@ class Values(Mapping[str, Tensor]):
 
 
 def numbers_in(name: str, template: str) -> dict[str, int] | None:
-    """Return the whole numbers, by name, with which a template such as ``"nearest_in_{rows}x{columns}_cells"`` gives a name.
+    """Return the whole numbers of a name by a template such as ``"nearest_in_{rows}x{columns}_cells"``.
 
     None if it does not.
     """

@@ -79,7 +79,7 @@ def summary(row: Mapping[str, object]) -> str:
 
 
 class Beside:
-    """Measures other renderers on a scene that is drawn already."""
+    """Measurement of other renderers on a rendered scene."""
 
     def __init__(
         self,
@@ -93,13 +93,13 @@ class Beside:
         repeats: int,
         repeat_time_s: float,
     ) -> None:
-        """Keep what the others need; ``images`` are ours, ``direction`` is the ray table (H, W, 3)."""
+        """Keep the inputs of the peers; ``images`` are those of this package, ``direction`` is the ray table (H, W, 3)."""
         self._scene, self._camera, self._images, self._direction = scene, camera, images, direction
         self._device, self._pythons = direction.device.type, interpreters(pythons, sys.executable)
         self._how = {"threads": threads, "repeats": repeats, "repeat_time_s": repeat_time_s}
 
     def why_not(self, name: str) -> str | None:
-        """Return a sentence that says why a renderer cannot be measured and what helps, or None if it can."""
+        """Return the reason against measuring a renderer, with the remedy; None if it can be measured."""
         if not self._scene.shapes:
             return f"{name} is skipped: it needs a scene of its own kind, such as --scene boxes, not an environment."
         if name == "shared_mesh" and bool((self._scene.state != self._scene.state[:1]).any()):

@@ -42,7 +42,7 @@ class Flight:
     """A backend, the state it advances, and the hover action that it holds."""
 
     def __init__(self, backend: PhysicsBackend, state: BodyState, action: Tensor, *, dt: float, substeps: int) -> None:
-        """Take what is stepped; ``substeps`` of ``dt`` [s] a launch. The state is kept as the start."""
+        """Take backend, state and action; ``substeps`` of ``dt`` [s] per launch. A copy of the state is the start."""
         self.device = action.device
         self.state, self._start = state, replace(state, **{name: t.clone() for name, t in vars(state).items()})
         launches = max(1, int(STRETCH_S / (dt * substeps)))

@@ -101,7 +101,7 @@ class MemoryBench:
 
 
 def arrays_of(holder: object, device: "torch.device") -> dict[str, int]:
-    """Return the bytes of all torch and Warp arrays on a device that an object holds, by where they were found.
+    """Return the bytes of all torch and Warp arrays on a device that an object holds, by attribute path.
 
     Views of one memory are counted once, under the name of the widest of them that was found first.
     """

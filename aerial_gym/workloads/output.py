@@ -44,7 +44,7 @@ def provenance(*packages: str) -> dict[str, object]:
 
 
 def packages_of(backend: str | None) -> tuple[str, ...]:
-    """Return the packages that a registered backend cannot do without, beside those of every figure."""
+    """Return the additional packages that a registered backend needs."""
     return () if backend in (None, "auto") else getattr(BACKENDS.get(backend), "packages", ())
 
 
@@ -86,7 +86,7 @@ def readable(value: object) -> str:
 
 
 def _version(package: str) -> str:
-    """Return the installed version of a package, or that a bare copy of its source is used."""
+    """Return the installed version of a package, or a note on a source tree without metadata."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:

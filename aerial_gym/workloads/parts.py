@@ -47,7 +47,7 @@ def _mix(task: Task, actions: torch.Tensor) -> None:
 
 
 def _clock(call: Callable[[], None], times: int, device: torch.device) -> float:
-    """Return the time of a call [s], the first of several left out if there are: it may compile."""
+    """Return the time of a call [s] without the first of several, which may compile."""
     spans = []
     for _ in range(times):
         begin = time.perf_counter()

@@ -74,7 +74,7 @@ class RenderBench:
         return 1 if failures else 0
 
     def measure(self) -> tuple[list[dict[str, object]], list[str]]:
-        """Return our figures with everything they depend on, a row for each other renderer, and what went wrong there.
+        """Return the figures with their conditions, a row per peer, and the failures of peers.
 
         Raises:
             AerialGymError: If a name is unknown or a number impossible.

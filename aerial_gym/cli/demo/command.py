@@ -76,7 +76,7 @@ def _shared_flights() -> Path | None:
 
 
 def _make_room(out: Path) -> None:
-    """Remove what an earlier demo left; refuse a folder that holds anything else."""
+    """Remove the files of an earlier demo; refuse a folder that holds anything else."""
     if not out.exists():
         return
     known = {"index.html", "training", "loop", "flights"}

@@ -35,7 +35,7 @@ TRAIN_EVERY = 4
 
 
 def look(seed: int, backend: str | None = None) -> dict[str, str]:
-    """Fly a few steps through the obstacle environment and return a picture of what the cameras see."""
+    """Simulate a few steps in the obstacle environment and return a picture of the camera images."""
     env = SimBuilder().build_env(
         sim_name="base_sim",
         env_name="env_with_obstacles",
@@ -156,7 +156,7 @@ def _make_flights(folder: Path, seed: int) -> Flights:
 
 
 def close_the_loop(flights: Flights, out: Path) -> dict[str, Any]:
-    """Close the loop on the flights; return the verdict as in ``verdict.json`` and two figures."""
+    """Run the closed loop on the flights; return the content of ``verdict.json`` and two figures."""
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("closing the loop", total=1.0)
         verdict = close_loop(

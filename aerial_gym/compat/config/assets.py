@@ -32,7 +32,7 @@ def _placed(end: str) -> Any:
 
 
 def _shapes(values: Values) -> Changes:
-    """Return the shapes of the URDF files of a folder, or the ones here that stand for a folder of that simulator."""
+    """Return the shapes of a folder's URDF files, or the replacements of a folder of that simulator."""
     folder, file = Path(str(values["asset_folder"])), values["file"]
     if not folder.is_dir() and folder.name in STANDARD_FOLDERS:
         like = getattr(CLASSES[STANDARD_FOLDERS[folder.name]], STANDS_FOR)
@@ -111,7 +111,7 @@ _made: list[tuple[AssetCfg, type]] = []
 
 
 def asset_class(cfg: AssetCfg) -> type:
-    """Return the class that stands for an obstacle; the same one for equal obstacles, to be changed in one place."""
+    """Return the configuration class of an obstacle, one and the same for equal obstacles."""
     for known, cls in _made:
         if known == cfg:
             return cls
@@ -124,7 +124,7 @@ def asset_class(cfg: AssetCfg) -> type:
 
 
 def asset_of(name: str, cls: Any) -> AssetCfg | None:
-    """Return our obstacle under the name that an environment class gives it; None where there shall be none of it."""
+    """Return the translated obstacle under its name in an environment class; None for a count of 0."""
     if not getattr(cls, "num_assets", 1):
         return None
     cfg = TABLE.translate(cls, _BOX)

@@ -70,7 +70,7 @@ def _mount(column: np.ndarray, spin: int, ratio: float, number: int) -> MountCfg
 
 
 def body(values: Values) -> Changes:
-    """Return mass, inertia and collision shapes of the URDF of a class; nothing where that is one of a robot of ours.
+    """Return mass, inertia and collision shapes of a class's URDF; nothing if it names a robot of this package.
 
     Raises:
         ConfigError: If the file is missing or not possible as one body.

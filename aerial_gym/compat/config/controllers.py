@@ -132,7 +132,7 @@ LAWS: dict[str, type[_Law]] = {
 
 
 def controller_of(law: Any, config: Any) -> ControllerCfg:
-    """Return our controller for a controller class and its configuration class.
+    """Return the translated controller of a controller class and its configuration class.
 
     Raises:
         ConfigError: If the class has a law of its own.

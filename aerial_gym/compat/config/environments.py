@@ -56,7 +56,7 @@ TABLE = Table(
 
 
 def environment_of(cls: Any) -> EnvironmentCfg:
-    """Return our environment for an environment class.
+    """Return the translated environment of an environment class.
 
     Asset classes are changed in place by scripts, so they are read at every call.
     """

@@ -59,27 +59,27 @@ def carried(
     write: Callable[[Values], Changes] | None = None,
     remark: str = "",
 ) -> Field:
-    """Return a field that means the same here; ``write`` is only needed where the value itself is another."""
+    """Return a field with the same meaning in both; ``write`` converts the value if it differs."""
     return Field(theirs=theirs, ours=ours, remark=remark, read=read, write=write or (lambda v: {ours: v[theirs]}))
 
 
 def idle(theirs: str, value: object, remark: str) -> Field:
-    """Return a field that has no meaning here, so that any value will do."""
+    """Return a field without meaning in this package, which takes any value."""
     return Field(theirs=theirs, ours="-", remark=remark, read=lambda _: value)
 
 
 def refused(theirs: str, value: object, remark: str) -> Field:
-    """Return a field of which one value means the same here and any other is an error; ``remark`` is the way out."""
+    """Return a field with one allowed value; ``remark`` is the remedy for others."""
     return Field(theirs=theirs, ours="-", remark=remark, read=lambda _: value, refused=True)
 
 
 def derived(theirs: str, read: Callable[[Any], object], remark: str) -> Field:
-    """Return a field whose value follows from what the class stands for; any other is an error, ``remark`` the way out."""
+    """Return a field whose value must match the configuration; ``remark`` is the remedy for others."""
     return Field(theirs=theirs, ours="-", remark=remark, read=read, refused=True)
 
 
 def kept(theirs: str, ours: str, read: Callable[[Any], object], remark: str = "") -> Field:
-    """Return a field that is read from the class where it is needed, not written into our configuration."""
+    """Return a field that code reads from the class on demand, without a target in the configuration."""
     return Field(theirs=theirs, ours=ours, remark=remark, read=read, write=lambda _: {})
 
 
@@ -92,7 +92,7 @@ class Table:
     idle_sections: Mapping[str, str]  # Nested classes of which no attribute means anything here, and why
 
     def class_of(self, name: str, cfg: object, *, parent: type | None = None) -> type:
-        """Return a configuration class that stands for one of our configurations.
+        """Return the configuration class generated from a configuration of this package.
 
         Args:
             parent: A class of the same table from which it is derived; it then has only what differs.
@@ -163,7 +163,7 @@ class Table:
 
 
 def changed(cfg: Any, changes: Changes) -> Any:
-    """Return a frozen configuration, or a mapping in it, with entries of it and of those nested in it replaced all at once."""
+    """Return a frozen configuration or mapping with entries replaced at all levels in one pass."""
     if cfg is None and changes:
         raise ConfigError(f"{', '.join(changes)}: what this class stands for has none of these to change")
     nested: dict[str, Changes] = {}
@@ -184,7 +184,7 @@ def changed(cfg: Any, changes: Changes) -> Any:
 
 
 def fresh(config: Any) -> Any:
-    """Return a configuration class derived from one, with lists, mappings and nested classes of its own, to be written to."""
+    """Return a writable subclass of a configuration class, with copies of lists, mappings and nested classes."""
     if not isclass(config):
         return deepcopy(config)
     inner: dict[str, Any] = {}

@@ -90,14 +90,14 @@ _made: dict[str, type] = {}
 
 
 def imu_class(imu: str, name: str | None = None) -> type:
-    """Return the class that stands for a registered IMU; the same one at every call."""
+    """Return the configuration class of a registered IMU, the same one at every call."""
     if imu not in _made:
         _made[imu] = TABLE.class_of(name or imu, IMUS.get(imu))
     return _made[imu]
 
 
 def imu_of(cls: Any) -> ImuCfg:
-    """Return our IMU for an IMU class."""
+    """Return the translated IMU of an IMU class."""
     return TABLE.translate(cls, IMUS.get("base_imu"))
 
 

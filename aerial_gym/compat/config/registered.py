@@ -1,4 +1,4 @@
-"""Sensors that scripts write as classes, in our registries, where robots find them by name."""
+"""Registration of script-defined sensor classes in this package's registries."""
 
 import re
 from typing import Any
@@ -7,7 +7,7 @@ from aerial_gym.registry import Registry
 
 
 def registered_name(cls: Any, cfg: Any, registry: Registry[Any]) -> str:
-    """Return a name under which a configuration is registered: the first of an equal one, or else that of its class.
+    """Register a configuration once and return its name: that of an equal entry, else that of its class.
 
     A class that a script changes after it has been used gets a second name.
     """

@@ -58,7 +58,7 @@ _RANGE = "the middle of the range; draws are `randomize:` of a robot file"
 
 
 def _mode(values: Values) -> Changes:
-    """Return the mode of the rotors, and their thrust map, which there is none of in force mode."""
+    """Return the mode of the rotors and their thrust map, None in force mode."""
     speed = bool(values[f"{_MOTOR}.use_rps"])
     return {
         "rotor.mode": "speed" if speed else "force",

@@ -156,7 +156,7 @@ LIDAR = Table(
 
 
 def sensor_of(cls: Any) -> RangeSensorCfg:
-    """Return our sensor for a camera or lidar class."""
+    """Return the translated sensor of a camera or lidar class."""
     base = getattr(cls, STANDS_FOR, None)
     if base is None:
         base = SENSORS.get("base_lidar" if "lidar" in str(getattr(cls, "sensor_type", "")) else "base_depth_camera")

@@ -34,7 +34,7 @@ TABLE = Table(
 
 
 def sim_of(cls: object) -> SimCfg:
-    """Return our sim for a sim class."""
+    """Return the translated sim of a sim class."""
     return TABLE.translate(cls, SIMS.get("base_sim"))
 
 

@@ -44,7 +44,7 @@ def _curriculum(name: str, theirs: str) -> Any:
 
 
 def _rewards(cfg: TaskCfg) -> dict[str, float]:
-    """Return the numbers of all reward terms, ``term.number``, their weights, and what a crash is worth."""
+    """Return the parameters of all reward terms, ``term.number``, their weights, and the crash reward."""
     found: dict[str, float] = {}
     for name, reward in cfg.rewards.items():
         found |= {f"{name}.{key}": value for key, value in reward.params.items() if isinstance(value, (int, float))}
@@ -62,7 +62,7 @@ def _changed_rewards(values: Values) -> Changes:
 
 
 def _target(name: str) -> Any:
-    """Return the share of the bounds from or up to which targets are drawn; None where none are."""
+    """Return the lower or upper share of the bounds for random targets; None without random targets."""
     return lambda cfg: None if cfg.command is None else cfg.command.params.get(name)
 
 
@@ -119,12 +119,12 @@ _made: dict[str, type] = {}
 
 
 def task_class_config(name: str) -> type:
-    """Return the configuration class that stands for a registered task; the same one at every call."""
+    """Return the configuration class of a registered task, the same one at every call."""
     if name not in _made:
         _made[name] = TABLE.class_of("task_config", task_registry.get(name))
     return _made[name]
 
 
 def task_of(cls: Any, name: str) -> TaskCfg:
-    """Return our task for a configuration class; one that stands for none changes the task of a name."""
+    """Return the translated task of a configuration class; a class of no registered task modifies the task of a name."""
     return TABLE.translate(cls, getattr(cls, STANDS_FOR, task_registry.get(name)))

@@ -69,7 +69,7 @@ class KeeperAgent(A2CAgent):
     after_epoch: Callable[[], None]
 
     def __init__(self, base_name: str, params: dict[str, Any]) -> None:
-        """Take what the library gives; of several processes the group is there already, and the device is the task's."""
+        """Take the library's arguments; the process group exists already, and the device is the task's."""
         self._device = params["config"]["device"]
         with patch.object(distributed, "init_process_group", lambda *_, **__: None):
             super().__init__(base_name, params)
@@ -86,7 +86,7 @@ class KeeperAgent(A2CAgent):
         del name
 
     def train_epoch(self) -> tuple[Any, ...]:
-        """Learn once; in processes other than rank 0, which the library tells nothing, say that it is done."""
+        """Train one epoch; ranks other than 0 report its end, as the library does not."""
         told = super().train_epoch()
         if self.global_rank != 0:
             self.frame += self.curr_frames * self.world_size

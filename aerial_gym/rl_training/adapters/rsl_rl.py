@@ -54,6 +54,6 @@ class RslRlEnv(VecEnv):
         return self._seen, reward.clone(), terminated | truncated, {"time_outs": info["time_outs"].clone()}
 
     def _kept(self, observation: dict[str, Tensor]) -> TensorDict:
-        """Return copies: on a GPU the next step writes into the same tensors, and rsl_rl keeps what it was given."""
+        """Return copies, as the next step on a GPU rewrites the tensors that rsl_rl keeps."""
         kept = {key: value.clone() for key, value in observation.items()}
         return TensorDict(kept, batch_size=torch.Size([self.num_envs]), device=self.device)

@@ -94,7 +94,7 @@ class _KeeperLearner(Learner):
     keeper: Keeper
 
     def load_from_checkpoint(self, policy_id: int, load_progress: bool = True) -> None:
-        """Go on from the checkpoint of the keeper, if there is one."""
+        """Resume from the checkpoint of the keeper, if any."""
         del policy_id, load_progress
         if self.keeper.resumes:
             self.keeper.restore(self._load_state)
@@ -107,7 +107,7 @@ class _KeeperLearner(Learner):
         return data
 
     def save(self) -> bool:
-        """Keep everything that is needed to go on; return whether there was anything yet."""
+        """Write a checkpoint; return whether there was a state to save."""
         if not (self.is_initialized and self.keeper.ready):
             return False
         self.keeper.save(self._get_checkpoint_dict(), env_steps=int(self.env_steps))
@@ -139,7 +139,7 @@ class _Runner(SerialRunner):
         return self.status
 
     def save(self) -> None:
-        """Keep a checkpoint of what there is."""
+        """Write a checkpoint."""
         for worker in self.learners.values():
             worker.learner.save()
 
@@ -295,7 +295,7 @@ def library_config(cfg: TrainingCfg, out: Path, *, env_name: str, device: torch.
 
 @contextlib.contextmanager
 def _registration(name: str, cfg: TrainingCfg, task: Task, interruption: Interruption) -> Iterator[None]:
-    """Make the task and the first weights of the network known to the library, for as long as they are needed."""
+    """Register the task and the initial weights with the library for the time of the block."""
 
     def make_network(library_cfg: Config, obs_space: spaces.Space, action_space: spaces.Space) -> ActorCritic:
         network = default_make_actor_critic_func(library_cfg, obs_space, action_space)

@@ -59,7 +59,7 @@ class SkrlEnv(Wrapper):
         return self._seen(observation), reward, terminated, truncated, info
 
     def _seen(self, observation: dict[str, Tensor]) -> Tensor:
-        """Return copies: on a GPU the next step writes into the same tensors, and skrl keeps what it was given."""
+        """Return copies, as the next step on a GPU rewrites the tensors that skrl keeps."""
         self._state = None if self._state_key is None else observation[self._state_key].clone()
         return observation["observations"].clone()
 

@@ -72,7 +72,7 @@ def sensor_of(cfg: EncoderTrainingCfg) -> RangeSensorCfg:
 def rendered(
     cfg: EncoderTrainingCfg, count: int, *, seed: int, device: torch.device, tell: Told = lambda _, __: None
 ) -> Images:
-    """Return images of the settings' environments; every one is of a scene of its own, with a drawn number of obstacles.
+    """Return images of the settings' environments, each of another scene with a random number of obstacles.
 
     Args:
         cfg: What is seen by whom.
@@ -93,7 +93,7 @@ def rendered(
 
 
 def radius_of(cfg: EncoderTrainingCfg, robot: RobotCfg) -> float:
-    """Return the radius of the ball that stands for a robot [m].
+    """Return the radius of a robot's collision ball [m].
 
     Raises:
         ConfigError: If the robot has no shape and the settings say nothing.
@@ -105,7 +105,7 @@ def radius_of(cfg: EncoderTrainingCfg, robot: RobotCfg) -> float:
 
 
 def collisions(seen: Tensor, sensor: RangeSensorCfg, *, radius: float) -> Tensor:
-    """Return the images of how far a ball could fly (``collision_distance``), as shares, of images of shares (N, H, W)."""
+    """Return ``collision_distance`` images of range images (N, H, W), both as shares of the largest distance."""
     rays = ray_table(sensor, device=seen.device)
     ahead = rays[..., 0] if sensor.kind == "depth" else torch.ones_like(rays[..., 0])
     largest = sensor.max_range / float(ahead.min())  # beyond what any ray measures

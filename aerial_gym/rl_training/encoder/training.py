@@ -96,7 +96,7 @@ class EncoderFolder:
         )
 
     def create(self, cfg: EncoderTrainingCfg) -> None:
-        """Make it and write the settings; raise ``ConfigError`` if something was trained there."""
+        """Make the folder and write the settings; raise ``ConfigError`` if it holds a training."""
         if self.config.exists():
             raise ConfigError(f"{self.path}: holds a training already. Choose another --out, or go on with --resume")
         with told_storage(self.path):
@@ -158,7 +158,7 @@ def train_encoder(
 
 
 def _resumed(given: EncoderTrainingCfg, own: EncoderTrainingCfg) -> EncoderTrainingCfg:
-    """Return the settings of a training that goes on; raise ``ConfigError`` if others are asked for."""
+    """Return the settings of a resumed training; raise ``ConfigError`` on a change of settings."""
     plain = EncoderTrainingCfg()
     for each in fields(EncoderTrainingCfg):
         wanted = getattr(given, each.name)
@@ -233,7 +233,7 @@ def _finish(
     test: Images,
     sensor: RangeSensorCfg,
 ) -> EncoderResult:
-    """Write the encoder, measure it beside its rivals, draw."""
+    """Write the encoder, compare it with the baselines, and draw the picture."""
     trained = {
         "robot": cfg.robot, "envs": list(cfg.envs), "target": cfg.target, "seed": cfg.seed, "epochs": fit.epochs,
         "train_images": cfg.train_images,

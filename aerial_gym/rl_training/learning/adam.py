@@ -20,7 +20,7 @@ class FlatAdam:
     """Adam with a limit on the gradient norm."""
 
     def __init__(self, network: nn.Module, *, max_norm: float, betas: tuple[float, float] = BETAS) -> None:
-        """Put all weights of ``network`` side by side into one tensor, of which they are views from now on."""
+        """Move all weights of ``network`` into one tensor, of which they become views."""
         self._parameters = [p for p in network.parameters() if p.requires_grad]
         self._max_norm, self._betas = max_norm, betas
         self.weights = torch.cat([p.detach().reshape(-1) for p in self._parameters])
@@ -45,7 +45,7 @@ class FlatAdam:
 
     @torch.no_grad()
     def step(self, gradient: Tensor, rate: Tensor) -> None:
-        """Move the weights against ``gradient``, (P,), with a rate that stands on the device, ()."""
+        """Update the weights by ``gradient``, (P,), with a rate on the device, ()."""
         # The kernel divides the gradient by grad_scale.
         excess = (torch.linalg.vector_norm(gradient) / self._max_norm).clamp_min(1.0)
         self._steps.add_(1.0)

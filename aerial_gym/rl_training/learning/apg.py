@@ -64,7 +64,7 @@ class Window:
 
 
 def window_return(reward: Tensor, value: Tensor, terminated: Tensor, ended: Tensor, *, discount: float) -> Tensor:
-    """Return the sum of what each episode brings in a window, its end judged by the critic, of every row, (E,).
+    """Return the discounted return of a window with the critic's value at its end, (E,).
 
     Args:
         reward: r, (T, E).
@@ -116,7 +116,7 @@ class Apg(Learner):
         self._task.settle()
 
     def iterate(self) -> None:
-        """Fly one window, follow the gradient of its return, and learn what its states were worth."""
+        """Simulate one window, ascend the gradient of its return, and fit the critic to its states."""
         window = self._fly()
         loss, value = self._policy_loss(window)
         gradient = self._actor_adam.gradient(loss)
@@ -166,7 +166,7 @@ class Apg(Learner):
         )
 
     def _policy_loss(self, window: Window) -> tuple[Tensor, Tensor]:
-        """Return the negative return of a window per step, and the values (T, E) of what was seen last."""
+        """Return the negative return of a window per step, and the values (T, E) of the last observations."""
         value = self._values(window.final) if self._apg.terminal_value else torch.zeros_like(window.reward)
         gained = window_return(window.reward, value, window.terminated, window.ended, discount=self._apg.discount)
         loss = -gained.mean() / self._apg.horizon
@@ -181,7 +181,7 @@ class Apg(Learner):
         return self.target.next_values(prepared, first.new_zeros(*first.shape[:2], 0))
 
     def _judge(self, window: Window, next_value: Tensor, rate: Tensor) -> Tensor:
-        """Let the critic learn what the states of a window were worth, and the slow one follow it; return the loss."""
+        """Fit the critic to the returns of a window, update the target critic, and return the loss."""
         apg, network, shown = self._apg, self.network, window.observation
         value = self._values(shown)
         advantage = generalized_advantages(
@@ -227,7 +227,7 @@ class Apg(Learner):
 
 
 def check_differentiable(task: Task, cfg: TrainingCfg) -> None:
-    """Refuse, by name, what gradients of windows with resets in them do not go through.
+    """Refuse task terms without gradients through windows with resets.
 
     Raises:
         CapabilityError: If the task has no gradients, its resets draw parameters, or a CUDA graph should hold joints.

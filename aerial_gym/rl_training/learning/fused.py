@@ -114,7 +114,7 @@ class FusedPpo(Ppo):
         self._compiling = self._compile() if device.type == "cuda" else []
 
     def _compile(self) -> list[Future[Any]]:
-        """Start to compile the kernels side by side, and return what to wait for; Triton keeps them for the first launches."""
+        """Start the compilation of kernels in parallel and return its futures; Triton caches the kernels."""
         ppo, envs, width = self._ppo, self._task.num_envs, self._task.num_actions
         seen = [self._partial.new_empty(ppo.horizon, envs, num_in) for num_in in self._num_in]
         action, row = self._partial.new_empty(ppo.horizon, envs, width), self._partial.new_empty(ppo.horizon, envs)

@@ -100,7 +100,7 @@ def forward(
     tile: tl.constexpr,
     precision: tl.constexpr,
 ):
-    """Write what a network makes of every observation; with ``draws`` also actions about it."""
+    """Write the network's output of every observation; with ``draws`` also actions around it."""
     rows, i, u = tl.program_id(0) * tile + tl.arange(0, tile), tl.arange(0, wide_in), tl.arange(0, wide_out)
     inside = rows < num_samples
     x = tl.load(

@@ -65,7 +65,7 @@ class Learner:
         self.sums[1:].add_(self.ranks.sum_(torch.stack([values.sum(dtype=torch.float64) for values in of_ended])))
 
     def _falling(self, first: float, last: float) -> Tensor:
-        """Return a number, float32, that falls linearly with the share of the time or steps that is used."""
+        """Return a float32 that changes linearly from ``first`` to ``last`` over the time or steps of the training."""
         share = self.time_share
         if self._cfg.max_env_steps is not None:
             share = torch.maximum(share, self.sums[0] / self._cfg.max_env_steps)
@@ -81,7 +81,7 @@ class Learner:
 
     @torch.no_grad()
     def join(self) -> None:
-        """Take over from rank 0 what is the same in all processes."""
+        """Copy the shared tensors from rank 0."""
         self.ranks.share_(self.learned())
 
 

@@ -46,7 +46,7 @@ def clipped_objective(log_ratio: Tensor, advantage: Tensor, *, clip_range: float
 
 
 def squared_error(value: Tensor, target: Tensor, old_value: Tensor, *, clip_range: float | None) -> Tensor:
-    """Return ``(V - R)²`` of each sample, or the larger one of it and that of a value clipped about the old one."""
+    """Return ``(V - R)²`` of each sample, or its maximum with that of the value clipped around the old one."""
     error = (value - target) ** 2
     if clip_range is None:
         return error
@@ -55,7 +55,7 @@ def squared_error(value: Tensor, target: Tensor, old_value: Tensor, *, clip_rang
 
 
 def adapted_rate(rate: Tensor, divergence: Tensor, *, threshold: float, highest: Tensor) -> Tensor:
-    """Return the learning rate after a look at the divergence between the policies before and after, all of them ()."""
+    """Return the learning rate adapted to the KL divergence of an update, all scalars ()."""
     rate = torch.where(divergence > 2.0 * threshold, rate / RATE_STEP, rate)
     rate = torch.where(divergence < 0.5 * threshold, rate * RATE_STEP, rate)
     return torch.minimum(rate.clamp_min(LOWEST_RATE), highest)
@@ -63,7 +63,7 @@ def adapted_rate(rate: Tensor, divergence: Tensor, *, threshold: float, highest:
 
 @dataclass(frozen=True, kw_only=True)
 class Flown:
-    """One segment of every environment, in time, (T, E, ...), but for the memory."""
+    """One segment of every environment, (T, E, ...); the memory is that of its start."""
 
     observation: Mapping[str, Tensor]
     """By key, (T + 1, E, ...): the last one is where the next segment begins."""
@@ -222,7 +222,7 @@ class Ppo(Learner):
     def _values(
         self, prepared: Mapping[str, Tensor], final: Mapping[str, Tensor], flown: Flown
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the values of observations (T + 1, E), of final ones (T, E), and what the critic remembers after each."""
+        """Return values of observations (T + 1, E) and of final ones (T, E), and the critic's memory after each."""
         values, remembered = self.network.values(prepared, flown.memory, flown.begins)
         return values, self.network.next_values(final, remembered[:-1]), remembered
 

@@ -24,9 +24,9 @@ def _second_stream(device: torch.device) -> torch.cuda.Stream:
 
 @contextmanager
 def _beside(device: torch.device) -> Iterator[AbstractContextManager[object]]:
-    """Give a context whose work a GPU does beside the rest of the block: neither of two small networks fills it.
+    """Yield a context that runs on a second CUDA stream, in parallel to the rest of the block.
 
-    Autograd goes back on the streams on which it came. On a CPU one comes after the other.
+    Autograd uses the same streams backward. On a CPU both run in sequence.
     """
     if device.type != "cuda":
         yield nullcontext()
@@ -44,7 +44,7 @@ class ActorCritic(nn.Module):
     """
 
     def __init__(self, actor: Policy, critic: BodyCfg | None) -> None:
-        """Take a policy and what the critic sees; None: both share the body, memory included. The first values are 0."""
+        """Take a policy and the critic's body; None shares the policy's body and memory. Initial values are 0."""
         super().__init__()
         self.actor = actor
         self.own_body = None if critic is None else Body(critic, beside=actor.body)
@@ -57,11 +57,11 @@ class ActorCritic(nn.Module):
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """What both see of an environment, by key of the observation."""
+        """Shapes of the inputs of policy and critic for one environment, by observation key."""
         return {**({} if self.own_body is None else self.own_body.cfg.shapes), **self.actor.shapes}
 
     def empty_memory(self, num_envs: int) -> Tensor:
-        """Return the memory (E, M) of environments in which nothing was seen yet."""
+        """Return the initial memory (E, M)."""
         return self.value_head.weight.new_zeros(num_envs, sum(self.memory_sizes))
 
     def prepare(self, observation: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -114,5 +114,5 @@ class ActorCritic(nn.Module):
         return self.scale.inverse(self.value_head(features).squeeze(-1)).unflatten(0, memory.shape[:2])
 
     def joined(self, acting: Tensor, judging: Tensor) -> Tensor:
-        """Return the memory (E, M) of both, of that of the policy and that of the critic."""
+        """Return the joint memory (E, M) of policy and critic."""
         return acting if self.own_body is None else torch.cat((acting, judging), dim=-1)

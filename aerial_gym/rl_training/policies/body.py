@@ -47,7 +47,7 @@ class Body(nn.Module):
     """Network from observations to features; its memory is an argument and a result, so that it holds no state."""
 
     def __init__(self, cfg: BodyCfg, *, beside: "Body | None" = None) -> None:
-        """Make the layers, with torch's own first weights; what ``beside`` normalises as well is normalised alike.
+        """Make the layers with torch's initial weights; normalisers of common keys are shared with ``beside``.
 
         Raises:
             ConfigError: If a key is neither a vector nor an image.
@@ -72,7 +72,7 @@ class Body(nn.Module):
         self.num_features = cfg.memory or cfg.hidden_layers[-1]
 
     def prepare(self, observation: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return the keys that it sees, vectors normalised: what does not change while weights are learned."""
+        """Return the input tensors by key, with vectors normalised; weight updates do not change them."""
         return {
             key: self.normalizers[key](observation[key]) if key in self.normalizers else observation[key]
             for key in self.cfg.shapes
@@ -109,7 +109,7 @@ class Body(nn.Module):
 
 
 def layers(widths: tuple[int, ...], activation: str) -> nn.Sequential:
-    """Return fully connected layers, an activation behind each."""
+    """Return fully connected layers, each with an activation."""
     parts = [(nn.Linear(before, after), ACTIVATIONS[activation]()) for before, after in pairwise(widths)]
     return nn.Sequential(*(part for pair in parts for part in pair))
 

@@ -21,7 +21,7 @@ class Pilot(Protocol):
         ...
 
     def reset(self, mask: Tensor | None = None) -> None:
-        """Forget what was seen in the environments of ``mask``, bool (E,), or in all."""
+        """Clear the memory of the environments in ``mask``, bool (E,), or of all."""
         ...
 
 
@@ -43,11 +43,11 @@ class Policy(nn.Module):
 
     @property
     def shapes(self) -> Mapping[str, tuple[int, ...]]:
-        """What it sees of an environment, by key of the observation."""
+        """Shapes of its inputs for one environment, by observation key."""
         return self.body.cfg.shapes
 
     def empty_memory(self, num_envs: int) -> Tensor:
-        """Return the memory (E, M) of environments in which nothing was seen yet; M is 0 without a memory."""
+        """Return the initial memory (E, M); M is 0 without a memory."""
         return self.head.weight.new_zeros(num_envs, self.body.memory_size)
 
     def step(self, observation: Mapping[str, Tensor], memory: Tensor) -> tuple[Tensor, Tensor]:
@@ -61,7 +61,7 @@ class Policy(nn.Module):
 
     @torch.no_grad()
     def forward(self, observation: Mapping[str, Tensor]) -> Tensor:
-        """Return the mean action (E, U), clamped to -1 to 1, and remember what was seen."""
+        """Return the mean action (E, U), clamped to -1 to 1, and update the memory."""
         num_envs = len(next(iter(observation.values())))
         if self._memory is None or len(self._memory) != num_envs:
             self._memory = self.empty_memory(num_envs)
@@ -69,7 +69,7 @@ class Policy(nn.Module):
         return mean.clamp(-1.0, 1.0)
 
     def reset(self, mask: Tensor | None = None) -> None:
-        """Forget what was seen in the environments of ``mask``, bool (E,), or in all."""
+        """Clear the memory of the environments in ``mask``, bool (E,), or of all."""
         if mask is None or self._memory is None:
             self._memory = None
         else:

@@ -31,7 +31,7 @@ def forward(
     keeps: tl.constexpr,
     precision: tl.constexpr,
 ):
-    """Write what is remembered after each step; with ``keeps`` also what the way back needs."""
+    """Write the hidden state after each step; with ``keeps`` also the values for the backward pass."""
     e, m = tl.program_id(0) * tile + tl.arange(0, tile), tl.arange(0, size)
     inside = (e < num_envs)[:, None]
     across = weight + m[None, :] * size + m[:, None]
@@ -78,7 +78,7 @@ def backward(
     tile: tl.constexpr,
     precision: tl.constexpr,
 ):
-    """Write gradients with respect to what entered, what was held against it, and the first memory."""
+    """Write the gradients with respect to input gates, recurrent gates and initial state."""
     e, m = tl.program_id(0) * tile + tl.arange(0, tile), tl.arange(0, size)
     inside = (e < num_envs)[:, None]
     along = weight + m[:, None] * size + m[None, :]

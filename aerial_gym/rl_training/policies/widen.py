@@ -19,7 +19,7 @@ NORMALISED = (".mean", ".var")
 
 
 def begin_as(network: ActorCritic, model: Mapping[str, Tensor], *, where: str) -> None:
-    """Give a network the numbers of another one, which may have seen less.
+    """Load the weights of another network, which may have fewer inputs.
 
     What it sees besides must stand behind what the other one saw. Its weights there are zero, so that at first it does what the
     other one did; its normaliser takes it as it is, mean 0 and deviation 1, and learns slowly, for it has counted much.

@@ -22,7 +22,7 @@ class Interruption:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Let what is inside end first, as it cannot be left half done; then raise."""
+        """Defer an interruption until the block has ended, then raise it."""
         self._waits = True
         try:
             yield

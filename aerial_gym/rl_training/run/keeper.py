@@ -36,7 +36,7 @@ class Keeper:
         resumed: tuple[Path, dict[str, Any]] | None,
         ranks: Ranks = ALONE,
     ) -> None:
-        """Take what is kept besides the trainer's state, the checkpoint to go on from, if there is one, and all processes."""
+        """Take the other parts of a checkpoint, the checkpoint to resume from, if any, and all processes."""
         self._cfg, self._folder, self._task, self._resumed, self._ranks = cfg, folder, task, resumed, ranks
         self.ready = resumed is None
         """Whether there is something of this run to save: not while it has still to take up what was."""
@@ -44,7 +44,7 @@ class Keeper:
 
     @property
     def resumes(self) -> bool:
-        """Whether there is a checkpoint to go on from."""
+        """Whether there is a checkpoint to resume from."""
         return self._resumed is not None
 
     @property
@@ -53,7 +53,7 @@ class Keeper:
         return self._ranks.told(time.perf_counter() - self._saved_at) >= self._interval
 
     def save(self, state: Mapping[str, object], *, env_steps: int, own: Sequence[str] = ()) -> None:
-        """Keep a trainer's state after so many environment steps of all sessions.
+        """Write a checkpoint of a trainer's state after ``env_steps`` of all sessions.
 
         Args:
             state: By name.
@@ -102,7 +102,7 @@ class Keeper:
             ) from None
 
     def _of_this_rank(self, payload: dict[str, Any], path: Path, own: Sequence[str]) -> dict[str, Any]:
-        """Return a checkpoint as it would be of this process alone; what a new process has not had is not in it."""
+        """Return the part of a checkpoint that belongs to this process; a new rank gets the shared part alone."""
         others, ranks = payload.get("others", []), self._ranks
         if len(others) + 1 != ranks.size and ranks.leads:
             _log.warning(

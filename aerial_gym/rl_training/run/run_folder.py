@@ -75,7 +75,7 @@ class RunFolder:
         write_whole(self.config_file, dump_yaml(cfg))
 
     def discard_unless_begun(self) -> None:
-        """Remove what a training left that was refused before its first session, and the folder if nothing else is in it."""
+        """Remove the files of a training refused before its first session, and the folder if it is then empty."""
         if self.versions_file.exists():
             return
         for file in (self.config_file, self.encoder_file, self.curve_file, self.log_file):
@@ -95,7 +95,7 @@ class RunFolder:
         return replace(cfg, encoder=str(self.encoder_file)) if self.encoder_file.exists() else cfg
 
     def checkpoints(self) -> list[Path]:
-        """Return the checkpoints, oldest first; those of earlier versions of this package, which lay elsewhere, included."""
+        """Return the checkpoints, oldest first, including those at the places of earlier versions."""
         patterns = [pattern for name in TRAINERS for pattern in TRAINERS.get(name).earlier_checkpoints]
         earlier = [path for pattern in patterns for path in self.path.glob(pattern)]
         earlier.sort(key=lambda path: path.stat().st_mtime_ns)
@@ -113,7 +113,7 @@ class RunFolder:
         return found[-1]
 
     def newest_whole(self) -> tuple[Path, dict[str, Any]] | None:
-        """Return the newest checkpoint that can be read, and what it holds; None if the run was ended before its first.
+        """Return the newest readable checkpoint with its content; None for a run without a checkpoint.
 
         Damaged ones that are newer keep their content under the name ``NAME.damaged``, and a warning says so.
 

@@ -18,7 +18,7 @@ STEP = "global_step"
 
 
 def require_wandb() -> None:
-    """Raise ``MissingDependencyError`` if what sends scalars is not installed."""
+    """Raise ``MissingDependencyError`` if the package ``wandb`` is not installed."""
     for package in ("wandb", "tensorboardX"):
         if importlib.util.find_spec(package) is None:
             raise MissingDependencyError(f"--wandb needs the package {package!r}: pip install 'aerial-gym[wandb]'")

@@ -107,7 +107,7 @@ class OwnTraining(Generic[AnyLearner]):
         self._recent: deque[list[float]] = deque([[0.0] * len(SUMS)])
 
     def advance(self) -> Report:
-        """Iterate, on a GPU several times without waiting, and return what is known: on a GPU that of the call before."""
+        """Iterate, on a GPU several times without waiting, and return the numbers, on a GPU those of the call before."""
         per_iteration = self.cfg.num_envs * self.cfg.learner.horizon * self._ranks.size
         limit = self.cfg.max_env_steps
         for _ in range(LOOK_EVERY if self.task.device.type == "cuda" and self.learner.captures else 1):
@@ -152,7 +152,7 @@ class OwnTraining(Generic[AnyLearner]):
         }
 
     def begin_as(self, source: str) -> None:
-        """Take the networks of another training: a run folder, or one checkpoint in it.
+        """Load initial weights from another training: a run folder, or one checkpoint in it.
 
         Raises:
             ConfigError: If there are none that fit.
@@ -165,7 +165,7 @@ class OwnTraining(Generic[AnyLearner]):
         self.learner.join()
 
     def load(self, state: Mapping[str, Any]) -> None:
-        """Go on from what ``state`` returned."""
+        """Resume from a result of ``state``."""
         self.learner.network.load_state_dict(state["model"])
         if "learner" in state:  # a process that the run has not had so far begins as it is
             own = self.learner.state_tensors()
@@ -180,7 +180,7 @@ class OwnTraining(Generic[AnyLearner]):
 
 
 def _is_image(tensor: Tensor) -> bool:
-    """Say whether a tensor of a task's state holds images, (E, S, H, W): they are large, and seen anew with the next step."""
+    """Return whether a state tensor holds images, (E, S, H, W), which the next step rewrites."""
     return tensor.ndim >= 4
 
 

@@ -22,7 +22,7 @@ _listeners: list[Listener] = []
 
 @contextmanager
 def listening(listener: Listener) -> Iterator[None]:
-    """Let a function hear all scalars that are written inside, by any trainer."""
+    """Call a function with every scalar that any trainer writes inside the block."""
     _listeners.append(listener)
     try:
         yield
@@ -39,7 +39,7 @@ class GuardedEvents:
         self._error: OSError | None = None
 
     def write_event(self, event: object) -> None:
-        """Write, unless writing failed before, and tell those who listen."""
+        """Write an event unless an earlier write failed, and call the listeners."""
         self._attempt(self._events.write_event, event)
         if _listeners:
             self._tell(event)
@@ -51,11 +51,11 @@ class GuardedEvents:
             listener(scalars, int(event.step))
 
     def flush(self) -> None:
-        """Write what waits."""
+        """Write the pending events."""
         self._attempt(self._events.flush)
 
     def close(self) -> None:
-        """Write what waits and close the file."""
+        """Write the pending events and close the file."""
         self._attempt(self._events.close)
 
     def check(self) -> None:
@@ -115,6 +115,6 @@ class Scalars:
                 self._writer.add_scalar(name, value, env_steps)
 
     def close(self) -> None:
-        """Write what waits."""
+        """Write the pending events."""
         if self._writer is not None:
             self._writer.close()

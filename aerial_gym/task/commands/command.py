@@ -34,27 +34,27 @@ class Command:
         self.values, self.env = values, env
 
     def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return buffers of it that follow from this instant, after the physics and before rewards and ends are found.
+        """Return the buffers that depend on this instant, after the physics and before rewards and ends.
 
-        What it returns it must not read: it may be called more than once.
+        It must not read its own results, as it may be called more than once.
         """
         del values
         return {}
 
     def after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return buffers of it as the next step has them; ``begun`` says whose episode has just begun."""
+        """Return the buffers for the next step; ``begun`` marks environments whose episode has just begun."""
         del values
         return {}
 
     def practise(self) -> None:
-        """Let episodes begin as those of a training from the next resets on, where they differ from those of an evaluation."""
+        """Start training episodes from the next resets on, where these differ from evaluation episodes."""
 
     def place(self, mask: Tensor) -> None:
-        """Place the robots of ``mask``, bool (E,), elsewhere than their reset did, in launches of its own, as ``draw``."""
+        """Move the robots of ``mask``, bool (E,), after their reset; launched separately, like ``draw``."""
         del mask
 
     def draw(self, mask: Tensor) -> None:
-        """Draw what belongs to the new episodes of ``mask``, bool (E,), in launches of its own."""
+        """Draw the command of new episodes of ``mask``, bool (E,), in separate launches."""
         del mask
 
     def _target(self, *, moving: bool = False) -> Tensor:

@@ -35,7 +35,7 @@ def crossing(before: Tensor, now: Tensor, *, half: tuple[float, float]) -> tuple
 
 
 def declare_gates(values: Values) -> None:
-    """Declare which gate is next, and what a step tells of it."""
+    """Declare the index of the next gate and its crossing flags."""
     values.declare("target_index", dtype=torch.int32, meaning="which point or gate is next, from 0 on")
     for name, meaning in (
         ("gate_passed", "the robot flew through its gate in this step"),
@@ -119,7 +119,7 @@ class Gates(Command):
         return rows[..., :3].contiguous(), rows[..., 5:].contiguous()
 
     def practise(self) -> None:
-        """Let episodes begin as those of a training from the next resets on."""
+        """Start training episodes from the next resets on."""
         self._practice.begin()
 
     def place(self, mask: Tensor) -> None:

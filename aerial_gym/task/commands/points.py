@@ -97,7 +97,7 @@ class PointSequence(Command):
         self.reads = (TARGET, "robot_position", "target_index", "target_reached")
 
     def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return whether the robot is there, and whether that was the last point."""
+        """Return the flags for a reached point and for the end of the sequence."""
         reached = (values[TARGET] - values["robot_position"]).norm(dim=-1) < self._radius
         last = (values["target_index"] == len(self._points) - 1) & (not self._loop)
         return {"target_reached": reached, "sequence_done": reached & last}
@@ -127,7 +127,7 @@ def next_index(values: Mapping[str, Tensor], passed: Tensor, count: int, *, loop
 
 
 def chosen(index: Tensor, rows: Sequence[Sequence[float]]) -> Tensor:
-    """Return the row with each index, (E, width): written out, so that it is part of a kernel."""
+    """Return the row of each index, (E, width); without indexing, so that it can be part of a kernel."""
     found = [torch.full_like(index, 0, dtype=torch.float32) + value for value in rows[0]]
     for i, row in enumerate(rows[1:], start=1):
         found = [torch.where(index == i, value, old) for value, old in zip(row, found, strict=True)]

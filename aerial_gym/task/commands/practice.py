@@ -58,7 +58,7 @@ class Practice:
             )
 
     def begin(self) -> None:
-        """Let episodes begin as those of a training from the next resets on."""
+        """Start training episodes from the next resets on."""
         self._present.fill_(self._share)
 
     def place(self, mask: Tensor) -> None:

@@ -85,7 +85,7 @@ class TrackGates(Command):
         )  # fmt: skip
 
     def practise(self) -> None:
-        """Let episodes begin as those of a training from the next resets on."""
+        """Start training episodes from the next resets on."""
         self._practice.begin()
 
     def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -99,7 +99,7 @@ class TrackGates(Command):
         return {"gate_passed": passed, "gate_missed": crossed & ~passed, "sequence_done": passed & last}
 
     def after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return the gate of the next step, and what has been seen by now."""
+        """Return the gate of the next step, and the flags of gates and poles seen so far."""
         index = next_gate(values, self._count, loop=False)
         position, orientation = (row_of(index, values[key]) for key in GATE_KEYS)
         found = {"target_index": index, TARGET: position, "target_orientation": orientation}

@@ -26,7 +26,7 @@ def make_take(source: Any, target: Any, history: int) -> wp.Kernel:
         # out
         frames_out: wp.array3d[target],  # (E, history, P), oldest first
     ):
-        """Write the image as the newest frame; where an episode has just begun, as all of them. Other rows stay."""
+        """Write the image as the newest frame, or as all frames where an episode has just begun."""
         env, pixel = wp.tid()
         if not mask[env]:
             return

@@ -53,7 +53,7 @@ class Cells:
 
 
 def first_sensor(sensors: SensorManager, reader: str, *, robot: str) -> str:
-    """Return the name of the first range sensor; raise ``ConfigError`` that names reader and robot if there is none."""
+    """Return the name of the first range sensor; raise ``ConfigError`` with term and robot if there is none."""
     if not sensors.casters:
         raise ConfigError(f"{reader}: robot {robot} has no camera or lidar. Choose one with a sensor")
     return next(iter(sensors.casters))

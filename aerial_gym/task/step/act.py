@@ -29,7 +29,7 @@ NOISE = "command_noise"
 
 
 def declare_delay(cfg: ActionCfg, values: Values) -> None:
-    """Declare the steps by which commands are late, so that terms may read them."""
+    """Declare the command delay in steps, readable by terms."""
     delay = values.declare(DELAY, (1,), unit="steps", meaning="how late commands are in this episode")
     delay.fill_(steps_range(cfg.delay_steps)[0])
 

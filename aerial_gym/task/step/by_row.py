@@ -24,7 +24,7 @@ class ByRow(Generic[Result]):
     """A pure function of tensors of rows as one kernel, traced at its first call; as torch operations where that fails."""
 
     def __init__(self, function: Callable[..., Result], what: str) -> None:
-        """Take the function and what a warning calls it."""
+        """Take the function and its name in warnings."""
         self._function, self._what = function, what
         self._rows: RowFunction | None = None
         self._single = True
@@ -107,7 +107,7 @@ class NamedRows:
         return self._rows.reason
 
     def __call__(self, **changing: Tensor) -> dict[str, Tensor]:
-        """Return all results by name; ``changing`` stands in the place of what was given under these names."""
+        """Return all results by name; ``changing`` replaces inputs of these names."""
         if self._graph is not None:
             return self._with_gradients(self._graph, changing)
         values = {**self._reads, **changing}

@@ -232,7 +232,7 @@ class Judge:
 
     @staticmethod
     def _with_bad(ends: Ends, bad: Tensor) -> Ends:
-        """Return the ends with those of rows in which something was not finite: crashes."""
+        """Return the ends, with a crash in rows with NaN or infinite values."""
         return Ends(
             crash=ends.crash | bad,
             success=ends.success & ~bad,
@@ -279,7 +279,7 @@ class Judge:
         return value if cfg.weight == 1.0 else cfg.weight * value
 
     def _of_bad(self, terms: Tensor, reward: Tensor, bad: Tensor, worth: Tensor | float) -> tuple[Tensor, Tensor]:
-        """Return terms and reward where rows that are not finite have that of a crash alone, and what this is worth."""
+        """Return terms and reward, replaced in non-finite rows by the crash reward alone."""
         crash = torch.zeros_like(reward) + worth
         alone = torch.stack([crash * (name == "crash") for name in self.reward_names], dim=-1)
         return torch.where(bad.unsqueeze(-1), alone, terms), torch.where(bad, crash, reward)

@@ -158,7 +158,7 @@ class Observer:
             self._delays.draw(mask)
 
     def draw_noise(self, *, final: bool = False) -> None:
-        """Draw the noise of this step; ``final``: of what is observed before a reset."""
+        """Draw the noise of this step; ``final``: for the observation before a reset."""
         self._noise.draw(final=final)
 
     def __call__(self) -> dict[str, Tensor]:
@@ -173,7 +173,7 @@ class Observer:
 
         Args:
             values: What ``reads`` names.
-            begun: Whose episode has just begun, bool (E,); None: nobody's.
+            begun: Environments whose episode has just begun, bool (E,); None for none.
         """
         flags, shown, lines = [], {}, {}
         for group, entries in self.groups.items():

@@ -13,7 +13,7 @@ from aerial_gym.task.values import Values
 
 
 def make_memory(command: Command, values: Values) -> NamedRows | None:
-    """Return the kernel; None where nothing is remembered. Make it last, when everyone has said what they read."""
+    """Return the kernel, None without buffers. Make it last, after all inputs are declared."""
     updates = dict(values.updates)
 
     def remembered(given: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -34,11 +34,11 @@ class Graph:
         return found
 
     def keep(self, written: Mapping[str, Tensor]) -> None:
-        """Keep what buffers hold from now on, with its gradients."""
+        """Store new values of buffers, with their gradients."""
         self._own |= written
 
     def detach(self) -> None:
-        """Let gradients end at this instant."""
+        """Cut the gradients at this instant."""
         self._own = {name: tensor.detach() for name, tensor in self._own.items()}
 
     def settle(self) -> None:
@@ -46,5 +46,5 @@ class Graph:
         self._own = in_places(self._places, self._own)
 
     def forget(self) -> None:
-        """Take the buffers as they stand: they were written from outside."""
+        """Drop the stored values, as the buffers were written from outside."""
         self._own.clear()

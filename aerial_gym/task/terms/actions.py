@@ -114,7 +114,7 @@ def four_places(
     high: tuple[float, ...],
     speeds: tuple[bool, ...],
 ) -> Tensor:
-    """Return commands of any rotors from those of the four of a quadrotor, (E, U): what these lift and turn, the others do.
+    """Return commands (E, U) of any rotor layout from four quadrotor commands, by lift and torque.
 
     Args:
         actions: Speeds of the four, clamped to -1..1: none, and the highest, (E, 4).

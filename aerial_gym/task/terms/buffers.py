@@ -37,7 +37,7 @@ class BufferRegistry(Registry[Buffer]):
     def buffer(
         self, name: str | None = None, *, shape: tuple[int | str, ...] = (), unit: str = "-", frame: str = "-"
     ) -> Callable[[Function], Function]:
-        """Register the function below as what a buffer of floating point numbers holds after a step.
+        """Register the function below as the update of a floating-point buffer after a step.
 
         Args:
             name: Under which terms read it; that of the function if not given.
@@ -71,7 +71,7 @@ def previous_distance(target_position: Tensor, robot_position: Tensor) -> Tensor
 
 @BUFFERS.buffer(unit="m")
 def previous_clearance(robot_clearance: Tensor) -> Tensor:
-    """Return the distance of the robot's hull to what is nearest one step before, or at the reset, (E,)."""
+    """Return the clearance of the previous step, or at the reset [m], (E,)."""
     return robot_clearance.clone()
 
 

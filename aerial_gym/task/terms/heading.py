@@ -21,7 +21,7 @@ def heading_error_of(target_yaw: Tensor, robot_orientation: Tensor) -> Tensor:
 
 
 def _there(target_position: Tensor, robot_position: Tensor, radius: float, reward: Tensor) -> Tensor:
-    """Return a reward closer to the target than a radius [m], 0 elsewhere, (E,)."""
+    """Return a reward within a radius [m] of the target, 0 elsewhere, (E,)."""
     return torch.where((target_position - robot_position).norm(dim=-1) < radius, reward, 0.0)
 
 
@@ -135,7 +135,7 @@ def aligned_rest_at_target(
 
 @REWARDS.term()
 def speeding(robot_linvel: Tensor, *, speed: float, height: float, width: float) -> Tensor:
-    """Return ``height (exp(-width s²) - 1)``, s how much the speed is above a limit [m/s], 0 below, (E,)."""
+    """Return ``height (exp(-width s²) - 1)``, s the excess of the speed over a limit [m/s], >= 0, (E,)."""
     return dip((robot_linvel.norm(dim=-1) - speed).clamp_min(0.0), height, width)
 
 

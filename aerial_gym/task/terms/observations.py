@@ -146,7 +146,7 @@ def nearest(cells: Tensor, *, rows: int = 8, columns: int = 8) -> Tensor:
 
 @OBSERVATIONS.term(named={"cells": CELLS})
 def log_nearest_in_cells(cells: Tensor, *, rows: int = 8, columns: int = 8) -> Tensor:
-    """Return the natural logarithm of ``nearest_in_cells``, (E, rows columns): what is at hand tells as much as what is far."""
+    """Return the natural logarithm of ``nearest_in_cells``, (E, rows columns), which resolves near and far alike."""
     del rows, columns
     return cells.clamp_min(LEAST_SHARE).log()
 
@@ -177,7 +177,7 @@ def next_gates(
     *,
     count: int,
 ) -> Tensor:
-    """Return offset [m] and direction of the next gates as far as they are known, vehicle frame, (E, 6 count).
+    """Return offset [m] and direction of the next gates at their known poses, vehicle frame, (E, 6 count).
 
     Of a gate that has been seen this is where it is, of another one where it is nominally. Behind the last one stands the
     first: what has been flown through is an obstacle still.
@@ -228,7 +228,7 @@ def nearest_poles(
     *,
     count: int,
 ) -> Tensor:
-    """Return horizontal offsets of the nearest poles as they are known [m], vehicle frame, nearest first, (E, 2 count)."""
+    """Return horizontal offsets [m] of the nearest poles at their known positions, vehicle frame, nearest first, (E, 2 count)."""
     known = torch.where(poles_seen.unsqueeze(-1), pole_position, pole_nominal_position) - robot_position.unsqueeze(1)
     rows = [quat_rotate_inverse(robot_vehicle_orientation, away)[:, :2] for away in known.unbind(1)]
     squares = [(row * row).sum(-1) for row in rows]
@@ -247,7 +247,7 @@ def nearest_poles(
 
 
 def row_of(index: Tensor, rows: Tensor) -> Tensor:
-    """Return the row (E, W) of each environment's (E, G, W) that has its index, (E,): written out, to be part of a kernel."""
+    """Return row ``index``, (E,), of rows (E, G, W), as (E, W); without indexing, to be part of a kernel."""
     first, *others = rows.unbind(1)
     found = first
     for i, other in enumerate(others, start=1):
@@ -256,7 +256,7 @@ def row_of(index: Tensor, rows: Tensor) -> Tensor:
 
 
 def whole(name: str) -> Term:
-    """Return the term that shows a tensor as it is: its entries side by side, (E, W)."""
+    """Return the term that observes a whole tensor, flattened to (E, W)."""
 
     def value(tensor: Tensor) -> Tensor:
         entries = tensor.reshape(tensor.shape[0], -1)
@@ -266,7 +266,7 @@ def whole(name: str) -> Term:
 
 
 class Shown(Term):
-    """A tensor by its own name."""
+    """Term that observes one tensor by name."""
 
     @property
     def reads(self) -> tuple[str, ...]:

@@ -103,7 +103,7 @@ def progress(
     closer: float,
     further: float,
 ) -> Tensor:
-    """Return the way gained in this step [m] times ``closer``, or the way lost (negative) times ``further``, (E,)."""
+    """Return the decrease of the target distance in this step [m], times ``closer`` if > 0, else ``further``, (E,)."""
     gained = previous_distance - _distance(target_position, robot_position)
     return torch.where(gained > 0.0, closer, further) * gained
 
@@ -287,13 +287,13 @@ def clearance_penalty(robot_clearance: Tensor, *, distance: float) -> Tensor:
 
 @REWARDS.term()
 def target_reached(target_reached: Tensor, *, value: float = 1.0) -> Tensor:
-    """Return ``value`` in a step in which a point of a sequence was reached, (E,)."""
+    """Return ``value`` in the step that reaches a point of a sequence, else 0, (E,)."""
     return value * target_reached.float()
 
 
 @REWARDS.term()
 def gate_passed(gate_passed: Tensor, *, value: float = 1.0) -> Tensor:
-    """Return ``value`` in a step in which the robot flew through its gate, (E,)."""
+    """Return ``value`` in the step that passes the gate, else 0, (E,)."""
     return value * gate_passed.float()
 
 

@@ -41,7 +41,7 @@ class Term:
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """Names of the tensors that it reads, those of ``named`` as they stand there."""
+        """Names of the input tensors, with the names of ``named`` where given."""
         names = (name for name, each in _arguments(self.value) if each.kind is not Parameter.KEYWORD_ONLY)
         return tuple(self.named.get(name, name) for name in names)
 
@@ -61,7 +61,7 @@ class BoundTerm:
     reads: tuple[str, ...] = field(default=())
 
     def evaluate(self, values: Mapping[str, Tensor]) -> Tensor:
-        """Return its value; where one stands ready under its label, that one."""
+        """Return the term's value; a value already stored under its label is reused."""
         ready = values.get(self.label)
         if ready is not None:
             return ready
@@ -81,7 +81,7 @@ def bind(term: Term, params: Mapping[str, object], label: str) -> BoundTerm:
 
 
 def checked(function: Callable[..., object], params: Mapping[str, object], label: str) -> dict[str, Any]:
-    """Return the keyword arguments of a function, as its hints say they are; ``label`` stands in front of errors.
+    """Return the keyword arguments of a function, converted to its type hints; ``label`` is the prefix of errors.
 
     Raises:
         ConfigError: If one is missing, unknown or of another kind.

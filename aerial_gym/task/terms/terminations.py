@@ -14,7 +14,7 @@ TERMINATIONS = TermRegistry("termination term")
 
 
 def pushed(robot_contact_force: Tensor) -> Tensor:
-    """Return whether ground or obstacles pushed the robot in this step, (E,)."""
+    """Return whether the robot had contact with ground or obstacles in this step, (E,)."""
     return (robot_contact_force * robot_contact_force).sum(-1) > 0.0
 
 
@@ -62,7 +62,7 @@ def touchdown(
     radius: float,
     speed: float,
 ) -> Tensor:
-    """Return whether something pushes the robot closer than a radius [m] to its target, which it approached below a speed.
+    """Return whether the robot has contact within a radius [m] of its target, after an approach below a speed [m/s].
 
     The speed [m/s] is that relative to the target one step before: the push has changed the present one.
     """
@@ -80,7 +80,7 @@ def missed_touchdown(
     radius: float,
     speed: float,
 ) -> Tensor:
-    """Return whether something pushes the robot and that is no ``touchdown``, (E,)."""
+    """Return whether the robot has a contact that is no ``touchdown``, (E,)."""
     landed = touchdown(
         robot_contact_force, target_position, robot_position, previous_relative_velocity, radius=radius, speed=speed
     )
@@ -97,13 +97,13 @@ def tilted(robot_orientation: Tensor, *, angle: float) -> Tensor:
 
 @TERMINATIONS.term()
 def leaning(robot_euler_angles: Tensor, *, angle: float) -> Tensor:
-    """Return whether roll or pitch is beyond an angle [rad], (E,)."""
+    """Return whether roll or pitch exceeds an angle [rad], (E,)."""
     return (robot_euler_angles[:, :2].abs() > angle).any(dim=-1)
 
 
 @TERMINATIONS.term()
 def spinning(robot_body_angvel: Tensor, *, rate: float) -> Tensor:
-    """Return whether the robot turns faster than a rate [rad/s], about whichever axis, (E,)."""
+    """Return whether the angular rate about any axis exceeds a limit [rad/s], (E,)."""
     return robot_body_angvel.norm(dim=-1) > rate
 
 
@@ -117,14 +117,14 @@ def outside_bounds(robot_position: Tensor, env_bounds_min: Tensor, env_bounds_ma
 def left_arena(
     robot_position: Tensor, env_bounds_min: Tensor, env_bounds_max: Tensor, sim_steps: Tensor, *, lift_off_steps: int
 ) -> Tensor:
-    """Return whether the robot is outside the bounds of its environment; below only after the steps of lifting off, (E,)."""
+    """Return whether the robot is outside its environment's bounds; the lower bound counts only after take-off, (E,)."""
     low, high = (robot_position < env_bounds_min), (robot_position > env_bounds_max).any(dim=-1)
     return low[:, :2].any(dim=-1) | high | (low[:, 2] & (sim_steps > lift_off_steps))
 
 
 @TERMINATIONS.term()
 def sequence_done(sequence_done: Tensor) -> Tensor:
-    """Return whether the last point of a sequence, or the last gate, is behind the robot, (E,)."""
+    """Return whether the last point of a sequence, or the last gate, is passed, (E,)."""
     return sequence_done.clone()
 
 

@@ -19,7 +19,7 @@ AT_AXIS = 0.1
 
 
 def way_through(position: Tensor, orientation: Tensor, robot: Tensor) -> Tensor:
-    """Return the length of a way to the middle of a gate that ends on its front side [m], (E,).
+    """Return the length of the path to a gate's centre from its front side [m], (E,).
 
     In front it leads to a point on the gate's axis, ``WAY_STRAIGHT`` before it, and then along the axis; nearer than that,
     straight to the axis and along it. From behind it leads to the nearest point of a circle of ``WAY_AROUND`` about the gate,

@@ -46,7 +46,7 @@ class PeerTimes:
 
 
 def why_missing(name: str, python: str, device: str) -> str | None:
-    """Return a sentence that says why a peer cannot be measured and what helps, or None if it can."""
+    """Return the reason against measuring a peer, with the remedy; None if it can be measured."""
     peer = RENDER_PEERS.get(name)
     if device not in peer.devices:
         return f"{name} is skipped: it runs on {', '.join(peer.devices)} only."
@@ -105,7 +105,7 @@ def share_that_differs(
     other_identity: Tensor | None = None,
     most: float = MOST_THAT_DIFFER,
 ) -> float:
-    """Return the share of pixels in which two renderers differ, in depth by more than 1 mm or in what is seen.
+    """Return the share of pixels in which two renderers differ: in depth by more than 1 mm, or in identity.
 
     Args:
         depth: Ours [m], below 0 for a miss, any shape.
@@ -167,7 +167,7 @@ def vertical_field_deg(hfov_deg: float, *, width: int, height: int) -> float:
 
 
 def _is_floor(shape: ShapeCfg, position: Tensor, attitude: Tensor, camera: Tensor) -> bool:
-    """Return whether a shape is a level box of whose faces no camera can see but the upper one.
+    """Return whether a shape is a level box with only its top face visible to cameras.
 
     A peer may draw a rectangle instead, which takes MuJoCo half as long.
     """

@@ -50,7 +50,7 @@ def main() -> None:
 
 
 def version_of(package: str) -> str:
-    """Return the version of a package; of one without metadata, what its module says."""
+    """Return the version of a package, from its metadata or its module."""
     try:
         return version(package)
     except PackageNotFoundError:
