@@ -1,1 +1,1 @@
-"""Flight logs to flights: readers, mappings, checks, repair, and which rows are flown."""
+"""Read flight logs, check and repair them, and convert them to complete flights."""

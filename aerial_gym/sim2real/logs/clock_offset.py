@@ -1,4 +1,4 @@
-"""The clock of the rotor log: by how much is it ahead of the other sensors?
+"""The clock offset of the rotor log relative to the other sensors.
 
 Letters: T rows.
 """
@@ -14,42 +14,41 @@ from aerial_gym.sim2real.logs.recording import FlightLog, part_of
 from aerial_gym.sim2real.logs.signals import edge_rows, interpolated, lagged, lowpass
 
 LATE_S = 0.003
-"""By how much what is logged is late, each sensor by itself [s], a standard deviation: filters and telemetry take some
-milliseconds, and no logger writes them down."""
+"""Standard deviation of each sensor's unknown delay [s]: filters and telemetry take milliseconds that no log states."""
 
 LARGEST_SHIFT_S = 0.05
-"""Clock offsets of the rotor log are looked for up to this [s]; measured_data.md 2: 0 to 0.03 s."""
+"""Largest clock offset of the rotor log that is searched [s]; measured_data.md 2: 0 to 0.03 s."""
 
 SETTLED = 5.0
-"""A lag has forgotten where it began after so many declared time constants."""
+"""Settling time of a lag in declared time constants."""
 
 LEAST_SHIFT_GAIN = 0.3
-"""A shift must take this share off the variance that is left, else the clock is believed. One row of a 100 Hz log or
-vertical drag takes off less; an offset of two rows takes off half (seen on the IDSIA flights)."""
+"""Least relative reduction of the residual variance for an accepted offset. One row of a 100 Hz log or vertical drag
+gives less; an offset of two rows gives half (measured on the IDSIA flights)."""
 
 AGREEING = 4.0
-"""Leads of several logs within this many standard deviations of their mean are the same."""
+"""Offsets of several logs within this many standard deviations of their mean count as equal."""
 
 CLEAR_ODDS = 20.0
-"""Where flights do not agree on one clock, an offset must be so many times more probable of one than of late sensors."""
+"""Least odds of a clock offset against delayed sensors if the flights disagree on the offset."""
 
 PASSED = 0.85
-"""Share of the band whose noise is left between both low-passes: ``7/8 (pi/8) / sin(pi/8)`` of the upper, less 0.05 of it."""
+"""Noise bandwidth between both low-passes over the upper one: ``7/8 (pi/8) / sin(pi/8)``, less 0.05."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClockOffset:
-    """By how much the rotor log is ahead of the other sensors."""
+    """Lead of the rotor log over the other sensors."""
 
     rows: float = 0.0
     std: float = 0.0
     """Standard deviation [rows]."""
 
     def is_a_clock(self, rate: float, odds: float = 1.0) -> bool:
-        """Return whether it is more probable of another clock than of two sensors that are late, at ``rate`` [Hz].
+        """Return whether a clock offset is more probable, by ``odds``, than two delayed sensors; ``rate`` in Hz.
 
-        By more than ``odds``. A clock may be off by anything that is looked for; rotor speeds and accelerometer are late each
-        by itself.
+        A clock offset is uniform within ``LARGEST_SHIFT_S``. Delays of rotor speeds and accelerometer are independent and
+        normal.
         """
         spread = float(np.hypot(np.sqrt(2.0) * LATE_S, self.std / rate))
         of_sensors = np.exp(-0.5 * (self.rows / rate / spread) ** 2) / (np.sqrt(2.0 * np.pi) * spread)
@@ -58,28 +57,28 @@ class ClockOffset:
 
 @dataclass(frozen=True, kw_only=True)
 class OffsetCurve:
-    """How well a rotor log agrees with the accelerometer, moved by each of some offsets."""
+    """Residual of the accelerometer against the rotor log as a function of the clock offset."""
 
     rate: float
     """Rows per second [Hz]."""
 
     left: Array
-    """Unexplained share of the specific force along z under each offset -N..N [rows], (2 N + 1,); empty: too short."""
+    """Unexplained share of the specific force along z at offsets -N..N [rows], (2 N + 1,); empty if too short."""
 
     samples: float
-    """Independent samples behind it."""
+    """Number of independent samples n."""
 
     @property
     def offset(self) -> ClockOffset:
-        """Return the offset that agrees best; 0 unless clearly.
+        """Return the offset with the least residual; 0 unless the improvement is clear.
 
-        Between rows the least S of ``left`` is that of a parabola, and it is known to ``sqrt(2 S / n S'')`` with n samples.
+        A parabola interpolates the minimum S of ``left``; its standard deviation is ``sqrt(2 S / n S'')``.
         """
         if not self.left.size:
             return ClockOffset()
         most = self.left.size // 2
         best = int(np.argmin(self.left))
-        # The least at an end of the range is no least: something else grows with the shift.
+        # A minimum at the end of the range is rejected: another cause grows with the shift.
         if best in (0, 2 * most) or self.left[best] >= min((1.0 - LEAST_SHIFT_GAIN) * self.left[most], 0.5):
             return ClockOffset()
         before, least, after = self.left[best - 1 : best + 2]
@@ -91,7 +90,7 @@ class OffsetCurve:
         )
 
     def rules_out(self, rows: float) -> bool:
-        """Return whether it clearly agrees better unmoved than under an offset."""
+        """Return whether zero offset fits clearly better than ``rows``."""
         if not self.left.size:
             return False
         most = self.left.size // 2
@@ -102,18 +101,18 @@ class OffsetCurve:
 def offset_curve(
     measured: Array, predicted: Array, others: Array, rate: float, bandwidth: float, *, largest: float = LARGEST_SHIFT_S
 ) -> OffsetCurve:
-    """Return how well a rotor log agrees with the accelerometer, moved by up to ``largest`` [s].
+    """Return the residual curve of the accelerometer against the rotor log, for offsets up to ``largest`` [s].
 
-    Thrust explains the specific force along z up to a factor, drag and a shifted centre of mass up to others. Independent
-    samples are two per second and hertz of what the filters pass.
+    Regressors of the specific force along z are thrust, drag and a shifted centre of mass. The number of independent
+    samples is twice the pass band [Hz] times the duration [s].
 
     Args:
         measured: Specific force along body z [m/s²], (T,).
         predicted: The same, predicted from the logged rotor speeds, (T,).
-        others: What else may act along z, on the clock of the accelerometer, (T, any): velocity, angular acceleration.
+        others: Further regressors on the accelerometer's clock, (T, any): velocity, angular acceleration.
         rate: Rows per second [Hz].
-        bandwidth: The comparison is made below it and above a twentieth of it [Hz].
-        largest: Of the offsets [s].
+        bandwidth: Upper limit of the pass band [Hz]; the lower one is a twentieth of it.
+        largest: Largest offset [s].
     """
     most = round(largest * rate)
     wave = np.column_stack((measured, predicted, others))
@@ -132,12 +131,12 @@ def offset_curve(
 
 
 def common_offsets(found: Sequence[OffsetCurve], learning: int) -> list[ClockOffset]:
-    """Return the offset of each of some logs: one that all have, where those that tell it agree, else each its own.
+    """Return the clock offset of each log: a common one if the decisive logs agree, else each log's own.
 
-    A logger has one clock: a flight whose thrust hardly varies is moved as the others are, unless its own rules that out.
-    The first ``learning`` logs decide on it; the others, which are to judge, may only follow it or keep their own.
-    None where sensors may as well be late: that is tolerated of each of them beside every effect, and commands are on time.
-    Where those that decide contradict each other, it must be clear: what acts along z may look like an offset in some flights.
+    A logger has one clock, so a flight with nearly constant thrust takes the common offset unless its own data reject it.
+    The first ``learning`` logs decide; test flights may only follow or keep their own. An offset that delayed sensors
+    explain as well is 0, since tolerances cover such delays. If the decisive logs disagree, the odds must exceed
+    ``CLEAR_ODDS``, because other vertical forces can imitate an offset.
     """
     told, agreed = _told_offsets(found, learning)
     odds = 1.0 if agreed else CLEAR_ODDS
@@ -147,7 +146,7 @@ def common_offsets(found: Sequence[OffsetCurve], learning: int) -> list[ClockOff
 
 
 def _told_offsets(found: Sequence[OffsetCurve], learning: int) -> tuple[list[ClockOffset], bool]:
-    """Return the offset of each log, and whether no log that decides contradicts another one."""
+    """Return the offset of each log, and whether all decisive logs agree."""
     own = [one.offset for one in found]
     told = list(zip(own, found, strict=True))[:learning]
     known = [(offset.rows / one.rate, offset.std / one.rate) for offset, one in told if offset.std > 0.0]
@@ -166,16 +165,15 @@ def _told_offsets(found: Sequence[OffsetCurve], learning: int) -> tuple[list[Clo
 
 
 def commands_share_clock(logs: Sequence[FlightLog], offsets: Sequence[ClockOffset], time_constant: float) -> bool:
-    """Return whether commands are on the clock of the rotor speeds, rather than on that of the other sensors.
+    """Return whether commands share the clock of the rotor speeds rather than that of the other sensors.
 
-    A lag is no shift: the clock is the one on which a first-order lag, of any time constant, makes the measured speeds out of
-    the commands. Unless the other one leaves clearly less, it is that of the rotor speeds. One answer for all logs: a logger
-    has one clock, and an offset of a row is hardly told from a lag by one of them.
+    A first-order lag with any time constant maps commands to speeds on the right clock. The rotor clock holds unless the
+    other one fits clearly better. The answer is common to all logs, as one log hardly separates a short offset from a lag.
 
     Args:
         logs: With rotor speeds that lead the other sensors by ``offsets``.
-        offsets: Of the rotor speeds.
-        time_constant: Declared [s]; a fifth to five times of it is tried.
+        offsets: Offsets of the rotor speeds.
+        time_constant: Declared [s]; 0.2 to 5 times it is searched.
     """
     found = [_left_by_lags(log, offset, time_constant) for log, offset in zip(logs, offsets, strict=True)]
     told = [np.log(moved / stayed) for moved, stayed in filter(None, found)]
@@ -183,7 +181,7 @@ def commands_share_clock(logs: Sequence[FlightLog], offsets: Sequence[ClockOffse
 
 
 def _left_by_lags(log: FlightLog, offset: ClockOffset, time_constant: float) -> tuple[float, float] | None:
-    """Return what lags leave of rotor speeds under commands that do not share their clock, and that do; None: nothing tells."""
+    """Return the least mean squared lag residuals with the commands on the other clock and on the rotor clock, or None."""
     speed, command = log.rotor_speed, log.rotor_command
     if round(offset.rows) == 0 or speed is None or command is None:
         return None
@@ -202,9 +200,9 @@ def _left_by_lags(log: FlightLog, offset: ClockOffset, time_constant: float) -> 
 
 
 def shift_rotor_log(log: FlightLog, offset: ClockOffset, *, commands: bool = True) -> FlightLog:
-    """Return the log with rotor speeds, and commands, moved to the later by ``offset``, the ends cut off.
+    """Return the log with rotor speeds, and optionally commands, delayed by ``offset``, without incomplete end rows.
 
-    Between rows they run in a straight line; of a command that is held from row to row this is the mean.
+    Values between rows are interpolated linearly, which is the mean of a held command.
     """
     if offset.rows == 0.0:
         return log

@@ -1,4 +1,4 @@
-"""What the rotors of a declared robot give at logged states: speeds [rad/s], in force mode thrusts [N].
+"""Forces of the declared rotors at logged states: speeds [rad/s], or thrusts [N] in force mode.
 
 Letters: T rows of a log, R rotors.
 """
@@ -27,13 +27,13 @@ def drag_torques(robot: RobotCfg, speed: Array) -> Array:
 
 
 def lift(robot: RobotCfg, speed: Array) -> Array:
-    """Return the size of the force of all rotors together [N], (T,), at states (T, R); they may point anywhere."""
+    """Return the norm of the total rotor force [N], (T,), at states (T, R), for any rotor axes."""
     axes = np.array([mount.axis for mount in robot.mounts.layout])
     return np.linalg.norm(thrusts(robot, speed) @ (axes / np.linalg.norm(axes, axis=1, keepdims=True)), axis=1)
 
 
 def place_of_rotor(robot: RobotCfg, number: int) -> str:
-    """Return the place of a rotor (from 1) as a pilot names it, such as ``front left``; empty if two rotors share it."""
+    """Return a pilot's name for the place of a rotor (from 1), such as ``front left``; empty if not unique."""
     hubs = np.array([mount.position for mount in robot.mounts.layout])[:, :2]
     arms = hubs - hubs.mean(axis=0)
     places = [_side(arm, float(np.linalg.norm(arms, axis=1).max())) for arm in arms]
@@ -43,7 +43,7 @@ def place_of_rotor(robot: RobotCfg, number: int) -> str:
 
 
 SIDES = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
-"""Eight sectors about body z, from ahead to the left."""
+"""Eight sectors about body z, counter-clockwise from the front."""
 
 
 def _side(arm: Array, longest: float) -> str:
@@ -58,6 +58,6 @@ def mean_lag(robot: RobotCfg) -> float:
 
 
 def followed(robot: RobotCfg, command: Array, rate: float) -> Array:
-    """Return what the declared lag makes of commands (T, R) at a rate [Hz]: rotors that are cut carry on for a while."""
+    """Return the commands (T, R) after the declared first-order lag, at a rate [Hz]."""
     kept = float(np.exp(-1.0 / (rate * mean_lag(robot))))
     return lagged(command, kept, command[0])

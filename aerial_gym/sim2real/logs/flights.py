@@ -1,4 +1,4 @@
-"""A checked flight with a complete state in every row: what is missing in the log is derived where that is sound.
+"""Complete a checked flight log: derive missing quantities where this is sound.
 
 Letters: T rows, R rotors.
 """
@@ -35,12 +35,12 @@ from aerial_gym.sim2real.logs.rotor_clock import check_rotor_clock, clock_offset
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass, uniform_log, without_gaps
 
 FEWEST_HIGH = 10
-"""At least one row of so many must lie where commands are scaled to the measured thrust."""
+"""At least one row in so many must lie above the height at which commands are scaled."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Flight(Recording):
-    """One flight at equal time steps that begins at 0 s; quaternions are unit, without jumps of sign."""
+    """A flight at equal time steps from 0 s, with unit quaternions of continuous sign."""
 
     name: str
     """Short name, unique among the flights of one run."""
@@ -52,13 +52,13 @@ class Flight(Recording):
     """[rad/s], body, (T, 3)."""
 
     gyro: bool
-    """Whether ``ang_vel`` was measured and the rotors' torques are known; if not, its derivative is no channel."""
+    """Whether ``ang_vel`` was measured and the rotor torques are known; otherwise angular acceleration is no channel."""
 
     accelerometer: bool
     """Whether ``specific_force`` was measured; if not, it was derived from the velocity."""
 
     on_ground: Flags | None = None
-    """Rows in which the vehicle stands on the ground, which are not compared, (T,); None: it never stands."""
+    """Rows on the ground, excluded from comparisons, (T,); None if there are none."""
 
     @property
     def num_rows(self) -> int:
@@ -74,7 +74,7 @@ class Flight(Recording):
 
 
 def names_of(some: Sequence[Flight], flights: Sequence[Flight]) -> str:
-    """Return the names of some flights; where they are all of several, that."""
+    """Return the names of ``some`` flights, or 'all logs' if these are all of several."""
     return "all logs" if len(some) == len(flights) > 1 else ", ".join(flight.name for flight in some)
 
 
@@ -82,12 +82,12 @@ Had = TypeVar("Had")
 
 
 def had_by_all(parts: Sequence[Mapping[str, Had]]) -> dict[str, list[Had]]:
-    """Return what all of some flights have, by its name: a list with that of each."""
+    """Return the entries that all mappings share, by key, each as a list with one value per mapping."""
     return {name: [part[name] for part in parts] for name in parts[0] if all(name in part for part in parts)}
 
 
 def notes_of(flights: Sequence[Flight]) -> list[Finding]:
-    """Return the notes on the logs, each once; its subject names its flights."""
+    """Return the distinct findings on the logs; each subject names the affected flights."""
     notes = dict.fromkeys(note for flight in flights for note in flight.notes)
     return [
         replace(note, subject=names_of([flight for flight in flights if note in flight.notes], flights))
@@ -96,7 +96,7 @@ def notes_of(flights: Sequence[Flight]) -> list[Finding]:
 
 
 def rigid_notes(robot: RobotCfg) -> list[Finding]:
-    """Return a note if a vehicle with joints is compared as a rigid one."""
+    """Return a finding if a vehicle with joints is compared as a rigid body."""
     return [] if robot.joints is None else [Finding("joints_held", "", {"joints": list(robot.joints.names)})]
 
 
@@ -109,13 +109,13 @@ def load_flights(
     learning: int | None = None,
     refused: list[DataError] | None = None,
 ) -> list[Flight]:
-    """Return the flights of the files, with names that differ.
+    """Return the flights in the files, with unique names.
 
-    The first ``learning`` of them decide on the clock of all rotor logs, None: all do; nothing else of a flight depends on
-    another one. A file that cannot be used is left out if there is a list ``refused`` to say so in.
+    The first ``learning`` files (None: all) decide the common clock offset of the rotor logs. Nothing else depends on
+    other files. Errors of unusable files go to ``refused`` if it is given.
 
     Raises:
-        DataError: If a file cannot be used and no list is given, a copy of another one among them, or is given twice.
+        DataError: If a file is given twice, or is unusable or a copy and ``refused`` is None.
     """
     read: dict[Path, tuple[FlightLog, list[Finding]]] = {}
     seen = SeenLogs()
@@ -147,7 +147,7 @@ def load_flights(
 
 @contextmanager
 def _left_out(refused: list[DataError] | None) -> Iterator[None]:
-    """Put a refusal into a list, if there is one."""
+    """Append a ``DataError`` to ``refused``, or raise it if there is no list."""
     try:
         yield
     except DataError as error:
@@ -157,10 +157,10 @@ def _left_out(refused: list[DataError] | None) -> Iterator[None]:
 
 
 def distinct_files(paths: Sequence[str | Path]) -> dict[Path, str | Path]:
-    """Return the paths by the files that they name; refuse a file that is named twice."""
+    """Return the paths by their real files; refuse a file that is given twice."""
     seen: dict[Path, str | Path] = {}
     for path in paths:
-        real = Path(os.path.realpath(path))  # unlike Path.resolve, a loop of links is no error before it is opened
+        real = Path(os.path.realpath(path))  # unlike Path.resolve, accepts a loop of links until it is opened
         if real in seen:
             raise DataError(f"{path}: is given twice (also as {seen[real]}); a flight is for training or for testing")
         seen[real] = path
@@ -168,12 +168,12 @@ def distinct_files(paths: Sequence[str | Path]) -> dict[Path, str | Path]:
 
 
 def mended_log(log: FlightLog) -> FlightLog:
-    """Return a log at equal time steps, repeated values and jumps of the position mended."""
+    """Return the log at equal time steps, with repeated values and position jumps repaired."""
     return mend_position_jumps(even_log(log))
 
 
 def even_log(log: FlightLog) -> FlightLog:
-    """Return a log at equal time steps, repeated values mended."""
+    """Return the log at equal time steps with repeated values repaired."""
     log = without_bad_quaternions(log)
     check_time(log)
     mended = mend_repeated_samples(without_gaps(without_copied_commands(log)))
@@ -182,7 +182,7 @@ def even_log(log: FlightLog) -> FlightLog:
 
 
 def with_velocity(log: FlightLog) -> FlightLog:
-    """Return the log with the velocity derived from the position if it has none of its own."""
+    """Return the log with velocity derived from position if it was not logged."""
     if log.lin_vel is not None or log.position is None:
         return log
     rate = rate_of(log)
@@ -191,12 +191,12 @@ def with_velocity(log: FlightLog) -> FlightLog:
 
 
 def match_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog:
-    """Return the log with commanded speeds scaled to the mean thrust measured away from the ground, if its mapping asks for it.
+    """Return the log with commanded speeds scaled to the mean measured thrust above ``hover_above``, if the mapping asks.
 
-    ``mean sum_r T(s w_r) = m mean f_z`` is solved for s, for rotors along body z.
+    The scale s solves ``mean sum_r T(s w_r) = m mean f_z``, for rotors along body z.
 
     Raises:
-        DataError: If the log lacks what this needs.
+        DataError: If position, accelerometer or enough high rows are missing.
     """
     if log.hover_above is None or log.rotor_command is None:
         return log
@@ -217,9 +217,9 @@ def match_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog:
 
 
 def complete_flight(log: FlightLog, notes: Sequence[Finding] = (), *, on_ground: Flags | None = None) -> Flight:
-    """Return the flight with specific force and angular velocity derived where the log lacks them.
+    """Return the flight, with missing specific force and angular velocity derived.
 
-    ``on_ground``: rows in which the vehicle stands, (T,).
+    ``on_ground``: rows on the ground, (T,).
     """
     rate, said = rate_of(log), [*log.notes, *notes]
     band = DERIVED_BAND * rate

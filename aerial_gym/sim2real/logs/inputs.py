@@ -1,4 +1,4 @@
-"""What a run reads, once and at its start: flights for training and for testing, and what their files were."""
+"""Input of a run: training and test flights, rejected logs and the checksums of all files."""
 
 import hashlib
 from collections.abc import Sequence
@@ -14,16 +14,16 @@ from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """Flights that can be used, and a note for each that cannot."""
+    """Usable flights, and a finding for each rejected log."""
 
     train: list[Flight]
     test: list[Flight]
 
     left_out: tuple[Finding, ...]
-    """One note for each log that cannot be used."""
+    """One finding for each rejected log."""
 
     digests: dict[str, str]
-    """SHA-256 of each file by its path, those left out included."""
+    """SHA-256 of every file by its path, rejected ones included."""
 
 
 def read_inputs(
@@ -34,11 +34,11 @@ def read_inputs(
     mapping: LogMapping | None,
     bandwidth: float,
 ) -> Inputs:
-    """Return what the logs hold; a log that cannot be used is left out and said so, as long as others are left.
+    """Return the flights of the logs; unusable logs become findings as long as each role keeps a flight.
 
     Raises:
-        DataError: If a file is not there or given twice, or if no flight is left to train on or to test on.
-        ConfigError: If the bandwidth is none.
+        DataError: If a file is missing or given twice, or no training or no test flight is usable.
+        ConfigError: If the bandwidth is out of range.
     """
     if not train or not test:
         raise DataError("needs at least one flight to train on (--train) and another one to test on (--test)")
@@ -58,7 +58,7 @@ def read_inputs(
 
 
 def check_bandwidth(bandwidth: float) -> None:
-    """Raise ``ConfigError`` for a bandwidth [Hz] in which nothing can be compared."""
+    """Raise ``ConfigError`` for a comparison bandwidth outside 0.5 to 100 Hz."""
     if not 0.5 <= bandwidth <= 100.0:
         raise ConfigError(f"bandwidth_hz = {bandwidth!r}: must lie in [0.5, 100] Hz")
 
@@ -70,7 +70,7 @@ def load_train_and_test(
     mapping: str | Path | None,
     bandwidth: float,
 ) -> tuple[list[Flight], list[Flight]]:
-    """Return training and test flights; none may be refused."""
+    """Return training and test flights; raise ``DataError`` if any log is unusable."""
     layout = None if mapping is None else find_mapping(mapping)
     inputs = read_inputs(robot, train, test, mapping=layout, bandwidth=bandwidth)
     if inputs.left_out:

@@ -1,4 +1,4 @@
-"""When a vehicle is carried by something else than its rotors: it stands before take-off and after landing.
+"""Detection of rows on the ground, where the rotors do not carry the vehicle.
 
 Letters: T rows, R rotors.
 """
@@ -15,33 +15,33 @@ from aerial_gym.sim2real.logs.recording import AT_REST, HIGHEST_BAND, FlightLog,
 from aerial_gym.sim2real.logs.signals import edge_rows
 
 SMOOTH_S = 0.05
-"""Signals are smoothed by a bell of this width [s], which does not ring at a touch: noise is no motion."""
+"""Width of the Gaussian smoothing [s], which does not ring at a touchdown and removes noise."""
 
 IDLE = 0.5
-"""Rotors that give less than this share of what they give in flight do not carry the vehicle."""
+"""Below this share of the flight's thrust the rotors do not carry the vehicle."""
 
 LIFTING = 0.9
-"""A vehicle that stands goes on to stand until its rotors give this share."""
+"""A vehicle on the ground remains there until the thrust reaches this share."""
 
 CARRIED = 0.8
-"""A specific force of this many g and more: the vehicle does not fall."""
+"""Least specific force [g] of a supported vehicle; in free fall it is less."""
 
 STILL = {"lin_vel": 0.15, "ang_vel": 0.15}
-"""Slower than this [m/s], [rad/s] the vehicle is at rest."""
+"""Largest speeds [m/s], [rad/s] at rest."""
 
 MOST = 0.8
-"""A vehicle that stands in more of the rows than this did not fly."""
+"""Largest share of rows on the ground in a usable log."""
 
 
 def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Flags | None:
-    """Return in which rows the vehicle stands, (T,); None if in none, or if nothing tells.
+    """Return the rows on the ground, (T,); None if there are none or the data do not show it.
 
-    It stands where it is at rest and feels gravity while its rotors give less than half the thrust of the flight, and in the
-    rows beside, as long as it is at rest and the rotors give less than nine tenths. Where it stood once it stands in all rows
-    within the mapping's ``lift_off_m`` of that height. A height alone is no evidence: it may be that of a hover.
+    A row is on the ground if the vehicle is at rest, supported, and below half its flight thrust. Neighbouring rows at
+    rest below nine tenths of the thrust belong to it. Then all rows within the mapping's ``lift_off_m`` of that height do.
+    A height alone is no evidence, as it may be that of a hover.
 
     Raises:
-        DataError: If it stands nearly all the time.
+        DataError: If more than ``MOST`` of the rows are on the ground.
     """
     rotors, width = log.rotor_speed, SMOOTH_S * rate_of(log)
     if rotors is None and log.rotor_command is not None:
@@ -73,9 +73,9 @@ def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Flags | None:
 
 
 def check_airborne(log: FlightLog, on_ground: Flags | None, bandwidth: float) -> None:
-    """Raise ``DataError`` if no span without touch of the ground is longer than the low-pass spoils at its ends.
+    """Raise ``DataError`` unless one airborne span is longer than the end rows that the low-pass spoils.
 
-    ``bandwidth``: of the comparison [Hz].
+    ``bandwidth``: frequency limit of the comparison [Hz].
     """
     edge = edge_rows(rate_of(log), min(bandwidth, HIGHEST_BAND * rate_of(log)))
     flies = np.ones(log.time.size, dtype=bool) if on_ground is None else ~on_ground
@@ -87,7 +87,7 @@ def check_airborne(log: FlightLog, on_ground: Flags | None, bandwidth: float) ->
 
 
 def _felt(log: FlightLog, width: float) -> Array | None:
-    """Return the size of the specific force [m/s²], (T,), of the accelerometer or else of the velocity; None without both."""
+    """Return the smoothed specific force [m/s²], (T,), from the accelerometer or else the velocity; None without both."""
     if log.specific_force is not None:
         return _size(log.specific_force, width)
     if log.lin_vel is None:
@@ -97,12 +97,12 @@ def _felt(log: FlightLog, width: float) -> Array | None:
 
 
 def _at_height_of(stands: Flags, height: Array, reach: float) -> Flags:
-    """Return the rows (T,) within ``reach`` [m] of the lowest height of any piece of rows in which the vehicle stands."""
+    """Return the rows (T,) within ``reach`` [m] of the lowest height of any span on the ground."""
     pieces, count = ndimage.label(stands)  # pyright: ignore[reportGeneralTypeIssues]
     levels = ndimage.minimum(height, pieces, np.arange(1, count + 1))
     return np.any([np.abs(height - level) <= reach for level in np.atleast_1d(levels)], axis=0)
 
 
 def _size(values: Array, width: float) -> Array:
-    """Return the length of smoothed vectors, (T,)."""
+    """Return the norm of the smoothed vectors, (T,)."""
     return np.linalg.norm(ndimage.gaussian_filter1d(values, width, axis=0), axis=1)

@@ -1,13 +1,13 @@
-"""Jumps of a logged position that no motion makes: a satellite fix that moves, a tracker that takes one body for another.
+"""Correction of position jumps that no motion explains, as from a satellite receiver or a motion tracker.
 
-What the velocity leaves of the position, ``p - ∫ v dt``, is a constant, a drift of what the velocity is off by, and noise. A
-jump is a step in it: the difference between two half seconds before and after, beside one slope. How large such differences
-are without a jump, the flight itself says, all of it and the seconds around each row; rows with hard manoeuvres have tails, so
-that they are taken as Student's t with few degrees of freedom. A velocity leaps as well, where rows came late: what it does for
-a tenth of a second is taken out of it; what it is wrong for longer looks like a jump.
+Position minus integrated velocity, ``p - ∫ v dt``, is a constant, a slow drift and noise; a jump is a step in it. A step
+is the difference between the half seconds before and after a row, with a common slope. Its scale without jumps comes
+from the whole flight and from the seconds around the row. Manoeuvres cause heavy tails, hence Student's t with few
+degrees of freedom. A median filter removes velocity spikes of up to a tenth of a second. A longer velocity error looks
+like a jump.
 
-A fix that has jumped mostly returns, and then by as much: where the jumps so far leave a position off by o, as surely as one
-jump is told, a difference of ``-o`` is looked for as well. As it is known what it would be, less shows it. Letters: T rows.
+A position that has jumped mostly returns by the same amount. So if the total offset o of the jumps is significant, the
+difference ``-o`` is searched as well; a known size needs less evidence. Letters: T rows.
 """
 
 from collections.abc import Iterable
@@ -22,33 +22,33 @@ from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.statistics import FALSE_ALARM_HOURS, student_quantile
 
 HALF_S = 0.5
-"""What is compared before and after a jump [s]: longer than the gaps of the slowest receivers."""
+"""Length of the compared spans [s], longer than the gaps of the slowest receivers."""
 
 LEAP_S = 0.2
-"""A velocity is the median of so much around each row [s]."""
+"""Width of the velocity's median filter [s]."""
 
 LEAST = 0.1
-"""Smallest jump [m] that is corrected: wrong velocities over 0.3 s made 0.06 m in one measured flight."""
+"""Smallest corrected jump [m]; velocity errors over 0.3 s caused 0.06 m in a measured flight."""
 
 AROUND_S = 3.0
-"""Before and after each row differences are taken for how large they are there [s]."""
+"""Time before and after each row from which the local scale is estimated [s]."""
 
 FREEDOM = 4
-"""Degrees of freedom of Student's t: chosen, not estimated."""
+"""Degrees of freedom of Student's t, chosen rather than estimated."""
 
 MOST = 20
-"""A position with more jumps than that is left as it is, and the log says so."""
+"""Largest number of corrected jumps; with more the position is left unchanged, with a finding."""
 
 LIMIT = -float(student_quantile(0.5 * HALF_S / (3.0 * 3600.0 * FALSE_ALARM_HOURS), FREEDOM))
-"""What differences without a jump pass, in parts of their scale, once in the hours of a false alarm."""
+"""Threshold of the scaled difference, exceeded without a jump once per ``FALSE_ALARM_HOURS``."""
 
 MAD = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
+"""Ratio of standard deviation to median absolute deviation of a normal distribution."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Offset:
-    """By how much the jumps so far have moved a position."""
+    """Total displacement of a position by the jumps so far."""
 
     size: Array = field(default_factory=lambda: np.zeros(3))
     """[m], world, (3,)."""
@@ -57,24 +57,24 @@ class Offset:
     """[m²], (3,)."""
 
     def and_then(self, jump: "PositionJump") -> "Offset":
-        """Return it with one more jump."""
+        """Return the offset after one more jump."""
         return Offset(size=self.size + jump.size, variance=self.variance + jump.std**2)
 
     @property
     def sure(self) -> bool:
-        """Return whether it is more than what jumps that took each other back are off by."""
+        """Return whether the offset exceeds the uncertainty of jumps that cancel."""
         return bool((np.abs(self.size) > np.maximum(LEAST, LIMIT * np.sqrt(self.variance))).any())
 
 
 @dataclass(frozen=True, kw_only=True)
 class PositionJump:
-    """One jump, at once or within ``HALF_S``."""
+    """A step of the position within at most ``HALF_S``."""
 
     first: int
-    """The first row after it has begun."""
+    """First row after its beginning."""
 
     last: int
-    """The first row after it has ended."""
+    """First row after its end."""
 
     size: Array
     """[m], world, (3,)."""
@@ -83,19 +83,19 @@ class PositionJump:
     """[m], (3,)."""
 
     def and_then(self, other: "PositionJump") -> "PositionJump":
-        """Return both as one."""
+        """Return the sum of both jumps as one."""
         first, last = min(self.first, other.first), max(self.last, other.last)
         return PositionJump(first=first, last=last, size=self.size + other.size, std=np.maximum(self.std, other.std))
 
     def finding(self, time: Array) -> Finding:
-        """Return the note on it, for a log with rows at these times [s]."""
+        """Return the finding on this jump, for rows at these times [s]."""
         size = {"size_m": self.size.tolist(), "half_width_m": (1.96 * self.std).tolist()}
         when = {"start_s": float(time[self.first]), "end_s": float(time[self.last])}
         return Finding("position_jump", "", {**size, **when, "moved_back": True})
 
 
 def mend_position_jumps(log: FlightLog) -> FlightLog:
-    """Return a log, at equal time steps, without the jumps of its position, and a note for each of them."""
+    """Return the log, at equal time steps, without position jumps, with a finding for each."""
     if log.position is None or log.lin_vel is None:
         return log
     step = float(log.time[-1] - log.time[0]) / (log.time.size - 1)
@@ -111,7 +111,7 @@ def mend_position_jumps(log: FlightLog) -> FlightLog:
 
 
 def joined(jumps: Iterable[PositionJump], rows: int) -> list[PositionJump]:
-    """Return jumps in the order of time, those as one that are fewer than so many rows apart."""
+    """Return the jumps in time order, merging those closer than ``rows`` rows."""
     found: list[PositionJump] = []
     for jump in sorted(jumps, key=lambda one: one.first):
         if found and jump.first - found[-1].last < rows:
@@ -121,17 +121,17 @@ def joined(jumps: Iterable[PositionJump], rows: int) -> list[PositionJump]:
 
 
 def integral(velocity: Array, step: float) -> Array:
-    """Return the way (T, 3) [m] that a velocity [m/s] without its leaps has led by each row, trapezium by trapezium."""
-    size = 2 * round(0.5 * LEAP_S / step) + 1  # of single columns scipy has a much faster median
+    """Return the displacement (T, 3) [m] by trapezoidal integration of the median-filtered velocity [m/s]."""
+    size = 2 * round(0.5 * LEAP_S / step) + 1  # scipy's median of single columns is much faster
     columns = [ndimage.median_filter(column, size=size, mode="nearest") for column in velocity.T.copy()]
     velocity = np.stack(columns, axis=1)
     return np.concatenate((np.zeros((1, 3)), np.cumsum(0.5 * step * (velocity[1:] + velocity[:-1]), axis=0)))
 
 
 def largest_jump(left: Array, step: float, offset: Offset) -> PositionJump | None:
-    """Return the jump that stands out most of what velocities leave of positions (T, 3), None if none does.
+    """Return the most significant jump in ``p - ∫ v dt`` (T, 3); None without one.
 
-    Where none does on its own, one that takes back ``offset``, what the jumps that are already taken out come to.
+    If no single jump is significant, a return by ``offset``, the sum of the jumps so far, is searched.
     """
     half = max(3, round(HALF_S / step))
     if len(left) < 8 * half:
@@ -152,19 +152,19 @@ def largest_jump(left: Array, step: float, offset: Offset) -> PositionJump | Non
 
 
 def scaled_differences(left: Array, step: float) -> tuple[Array, Array]:
-    """Return the differences of the rows half to T - half, and how large they are without a jump, (T, 3) [m]."""
+    """Return the step estimates at rows half to T - half, and their scale without jumps, each (T - 2 half + 1, 3) [m]."""
     sizes = differences(left, max(3, round(HALF_S / step)))
     rows = np.abs(sizes)
     overall = MAD * np.median(rows, axis=0)
     near = ndimage.uniform_filter1d(np.minimum(rows, 3.0 * overall), 2 * round(AROUND_S / step) + 1, axis=0)
-    return sizes, np.maximum(np.maximum(overall, 1.2533 * near), 1e-9)  # of a normal distribution: its mean size
+    return sizes, np.maximum(np.maximum(overall, 1.2533 * near), 1e-9)  # 1.2533: deviation over mean size, normal
 
 
 def log_odds_of_return(sizes: Array, scale: Array, offset: Offset) -> Array:
-    """Return the logarithm of the odds that differences (T, 3) take an offset back against that nothing jumps, (T,).
+    """Return the log odds (T,) of a return by ``-offset`` against no jump, from differences (T, 3).
 
-    Densities of Student's t of three axes whose tails come together: a hard manoeuvre shows in all. Without a jump the odds
-    have the mean one, so that they pass c with a probability of at most 1 / c (Markov).
+    Both densities are trivariate Student's t, since a hard manoeuvre disturbs all axes. Without a jump the odds have mean
+    1, so they exceed c with a probability of at most 1 / c (Markov).
     """
     wide = np.sqrt(scale**2 + offset.variance)
     nothing, back = (np.log1p((x**2).sum(axis=1) / FREEDOM) for x in (sizes / scale, (sizes + offset.size) / wide))
@@ -172,7 +172,7 @@ def log_odds_of_return(sizes: Array, scale: Array, offset: Offset) -> Array:
 
 
 def differences(left: Array, half: int) -> Array:
-    """Return the step (T - 2 half + 1, any) that least squares put between rows before and after, beside one slope."""
+    """Return the least-squares step between the rows before and after, with a common slope, (T - 2 half + 1, any)."""
     at = np.arange(2 * half) - half + 0.5
     columns = np.column_stack((np.ones(2 * half), at, at > 0.0))
     weights = np.linalg.pinv(columns)[2]

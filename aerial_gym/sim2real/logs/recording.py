@@ -1,4 +1,4 @@
-"""One flight as arrays: what a log holds, row by row.
+"""Arrays of one recorded flight, row by row.
 
 World is ENU (z up), body is x forward, y left, z up, quaternions are xyzw, body to world, SI units.
 Letters: T rows, R rotors.
@@ -15,10 +15,10 @@ from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.findings import Finding
 
 AT_REST = np.array((0.0, 0.0, STANDARD_GRAVITY))
-"""What an accelerometer at rest reads, along world axes [m/s²], (3,)."""
+"""Reading of an accelerometer at rest in world axes [m/s²], (3,)."""
 
 LONGEST_GAP_ROWS = 5
-"""A gap of more rows than this, and of more than LONGEST_GAP_S, ends a flight."""
+"""A gap of more rows than this and of more than LONGEST_GAP_S ends a flight."""
 
 LONGEST_GAP_S = 0.1
 """[s]."""
@@ -26,10 +26,10 @@ LONGEST_GAP_S = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
-    """What a log and the flight that is made of it have in common; None: it was not measured. World ENU, body FLU, SI."""
+    """Common data of a log and its flight, in world ENU, body FLU and SI units; None: not measured."""
 
     path: str
-    """File, as error messages and reports call it."""
+    """File name for messages and reports."""
 
     time: Array
     """[s], increasing, (T,)."""
@@ -41,64 +41,64 @@ class Recording:
     """Body origin [m], world, (T, 3)."""
 
     lin_vel: Array | None = None
-    """Of the body origin [m/s], world, (T, 3)."""
+    """Velocity of the body origin [m/s], world, (T, 3)."""
 
     specific_force: Array | None = None
-    """At the body origin [m/s²], body: +9.81 on z at hover, (T, 3)."""
+    """Specific force at the body origin [m/s²], body, (T, 3): +9.81 on z at hover."""
 
     rotor_speed: Array | None = None
-    """Measured [rad/s], (T, R); rotors in force mode have none."""
+    """Measured [rad/s], (T, R); None for rotors in force mode."""
 
     rotor_command: Array | None = None
-    """Speeds commanded from each row on [rad/s], in force mode thrusts [N], (T, R)."""
+    """Commanded speeds from each row on [rad/s], in force mode thrusts [N], (T, R)."""
 
     battery: Array | None = None
     """Voltage [V], (T,)."""
 
     attitude_integrated: bool = False
-    """Whether the attitude is that which the gyro implies, and so no check of the gyro."""
+    """Whether the attitude is the integrated gyro, and so no independent measurement."""
 
     other_position: Array | None = None
-    """Body origin of another vehicle flown at the same time [m], world, (T, 3); NaN where it is not known."""
+    """Body origin of another vehicle in the same flight [m], world, (T, 3); NaN where unknown."""
 
     ground_height: float = 0.0
     """World z of the ground [m]."""
 
     ceiling_height: float | None = None
-    """World z of the ceiling [m]; None if the log does not say."""
+    """World z of the ceiling [m]; None if unknown."""
 
     wind: tuple[float, float, float] | None = None
-    """Steady wind that was known to whoever flew [m/s], world; None: still air as far as is known."""
+    """Known steady wind [m/s], world; None: still air is assumed."""
 
     notes: tuple[Finding, ...] = ()
-    """What was done to the log, for the report; no subject: it is the log."""
+    """Repairs and defects of the log, without subject."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlightLog(Recording):
-    """What was measured in one flight, row by row of its file; quaternions are not yet made unit."""
+    """Measurements of one flight, row by row of its file; quaternions are not normalised."""
 
     ang_vel: Array | None = None
     """[rad/s], body, (T, 3)."""
 
     collective: bool = False
-    """Whether all rotors share one command: it says nothing about torques."""
+    """Whether all rotors share one command, which determines no torque."""
 
     lift_off: float = 0.0
-    """Within this of a height at which it stood the vehicle stands on the ground [m]; 0: heights tell nothing."""
+    """Height tolerance for rows on the ground [m]; 0: heights are ignored."""
 
     hover_above: float | None = None
-    """Commanded speeds are to be scaled to the thrust measured above this height [m], world; None: they are not."""
+    """Height [m], world, above which commanded speeds are scaled to the measured thrust; None: no scaling."""
 
     torques: bool = True
-    """Whether the log shows what torques do."""
+    """Whether the log resolves torques."""
 
     lines: Indices | None = None
-    """Line of each row in its file, (T,); None for binary logs and for rows that were resampled."""
+    """Line of each row in its file, (T,); None for binary logs and resampled rows."""
 
     @property
     def name(self) -> str:
-        """File name without folder and ending."""
+        """File name without folder and suffix."""
         return Path(self.path).stem
 
     @property
@@ -108,35 +108,35 @@ class FlightLog(Recording):
         return 0 if rotors is None else rotors.shape[1]
 
     def where(self, row: int) -> str:
-        """Return the name of a row for messages: file, line if it has one, and time."""
+        """Return a row's name for messages: file, line if known, and time."""
         line = "" if self.lines is None else f", line {self.lines[row]}"
         return f"{self.path}{line} (t = {self.time[row]:.6g} s)"
 
 
 HIGHEST_BAND = 0.2
-"""Measured and predicted are compared at most to this share of the slowest log's rate."""
+"""Largest comparison bandwidth as a share of the slowest log's rate."""
 
 NORM_OFF = 0.05
-"""A quaternion whose norm is off 1 by more is none."""
+"""Largest deviation of a quaternion's norm from 1."""
 
 Some = TypeVar("Some", bound=Recording)
 
 
 def part_of(log: Some, rows: slice | Flags) -> Some:
-    """Return some rows of a log, or of a flight."""
+    """Return the selected rows of a log or flight."""
     return replace(log, **{name: values[rows] for name, values in arrays_of(log).items()})
 
 
 def arrays_of(log: Recording) -> dict[str, Array]:
-    """Return what has a value in every row, by name, (T, any)."""
+    """Return the arrays with one entry per row, by field name, (T, any)."""
     return {f.name: value for f in fields(log) if isinstance(value := getattr(log, f.name), np.ndarray)}
 
 
 def gap_limit(step: float) -> float:
-    """Return the longest gap in time [s] that can be bridged, for a usual step [s]."""
+    """Return the longest bridgeable time gap [s] for a usual step [s]."""
     return max(LONGEST_GAP_ROWS * step, LONGEST_GAP_S)
 
 
 def rate_of(log: FlightLog) -> float:
-    """Return the rows per second [Hz]."""
+    """Return the sample rate [Hz]."""
     return (log.time.size - 1) / float(log.time[-1] - log.time[0])

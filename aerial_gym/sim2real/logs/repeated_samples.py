@@ -1,7 +1,7 @@
-"""Samples that a log repeats: a sensor slower than the log, packets that came late, a sensor that froze.
+"""Repair of repeated samples, from a sensor slower than the log, a late packet or a frozen sensor.
 
-While a vehicle moves, no sensor reads exactly the same twice. A repeated value was therefore not measured at its row: it is
-replaced by a straight line between the measured ones around it, and the log says so. Letters: T rows.
+In motion no sensor reads exactly the same twice. A repeated value was thus not measured at its row: it is replaced by
+linear interpolation, with a finding. Letters: T rows.
 """
 
 from dataclasses import dataclass, replace
@@ -15,45 +15,45 @@ from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
 from aerial_gym.sim2real.logs.signals import interpolated, signs_of
 
 SENSORS = ("position", "attitude", "lin_vel", "ang_vel", "specific_force")
-"""What never stands still in flight. Rotor speeds and voltages may: they are measured in coarse steps."""
+"""Sensors whose values always vary in flight; rotor speeds and voltages have coarse steps and may not."""
 
 LONGEST_FROZEN_S = 0.25
-"""A sensor that repeats its value for longer than this, while the vehicle moves, is frozen."""
+"""Longest time of one value in motion; beyond it the sensor is frozen."""
 
 LEAST_WAY = 0.05
-"""A pose, measured in steps, is frozen only if the vehicle goes or turns further than this meanwhile [m], [rad]."""
+"""Least motion [m], [rad] during one value of a frozen position or attitude, as these may have coarse steps."""
 
 LEAST_MOTION = 0.1
-"""Above this speed [m/s] or angular velocity [rad/s] the vehicle moves."""
+"""Least speed [m/s] or angular velocity [rad/s] of a moving vehicle."""
 
 LEAST_SHARE = 0.005
-"""A smaller share of repeated values is not worth a sentence; it is mended all the same."""
+"""Smallest reported share of repeated values; smaller ones are repaired silently."""
 
 MOST_ROWS = 0.5
-"""If whole rows repeat in more than this share, the log was written faster than anything was measured."""
+"""Largest share of rows that repeat entirely; beyond it the log rate exceeds all sensor rates."""
 
 REGULAR = 0.8
-"""A sensor is slower than the log if this share of its values is held for the same number of rows, or one more or less."""
+"""A sensor is slower than the log if this share of its values lasts the median number of rows, plus or minus one."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RepeatedSamples:
-    """Which rows of a sensor were measured, and which repeat the one before."""
+    """Measured rows and repeated rows of one sensor."""
 
     fresh: Indices
-    """Rows with a new value, the first one included."""
+    """Rows with a new value, including the first."""
 
     num_rows: int
-    """T."""
+    """Number of rows T."""
 
     @property
     def share(self) -> float:
-        """Return the share of rows that repeat the one before."""
+        """Return the share of repeated rows."""
         return 1.0 - self.fresh.size / self.num_rows
 
     @property
     def usual(self) -> float:
-        """Return how many rows a value is usually held: 1, or more if the sensor is slower than the log."""
+        """Return the mean number of rows per value; 1 unless the sensor is regularly slower than the log."""
         spans = np.diff(self.fresh)
         middle = float(np.median(spans)) if spans.size else 1.0
         return float(spans.mean()) if middle > 1.0 and np.mean(np.abs(spans - middle) <= 1.0) >= REGULAR else 1.0
@@ -61,29 +61,29 @@ class RepeatedSamples:
 
 @dataclass(frozen=True, kw_only=True)
 class FrozenSensor:
-    """A sensor that keeps one value."""
+    """A sensor that repeats one value in motion."""
 
     name: str
-    """As in a ``FlightLog``."""
+    """Field of ``FlightLog``."""
 
     row: int
-    """From which on it does."""
+    """First row with that value."""
 
     seconds: float
-    """For how long [s]."""
+    """Duration [s]."""
 
 
 def find_repeated_samples(values: Array, moving: Flags) -> RepeatedSamples:
-    """Return the rows (T, any) that are new; what does not move may repeat."""
+    """Return the rows (T, any) with new values; a repeat counts only while the vehicle moves."""
     same = np.all(values[1:] == values[:-1], axis=1) & moving[1:]
     return RepeatedSamples(fresh=np.flatnonzero(np.concatenate(([True], ~same))), num_rows=len(values))
 
 
 def mend_repeated_samples(log: FlightLog) -> FlightLog:
-    """Return the log with straight lines in place of repeated values, and a note for each sensor that has many.
+    """Return the log with repeated values interpolated, and a finding for each sensor with many.
 
     Raises:
-        DataError: If a sensor was frozen for long, or most of the rows repeat the one before.
+        DataError: If a sensor was frozen, or most rows repeat the one before.
     """
     moving = _moving(log)
     sensors = _sensors(log)
@@ -110,7 +110,7 @@ def mend_repeated_samples(log: FlightLog) -> FlightLog:
 
 
 def _moving(log: FlightLog) -> Flags:
-    """Return in which rows the vehicle moves, (T,)."""
+    """Return the rows in motion, (T,)."""
     moving = np.zeros(log.time.size, dtype=bool)
     for values in (log.lin_vel, log.ang_vel):
         if values is not None:
@@ -119,13 +119,13 @@ def _moving(log: FlightLog) -> Flags:
 
 
 def _sensors(log: FlightLog) -> dict[str, Array]:
-    """Return the rows of each sensor that the log has, (T, any) by name; quaternions without jumps of sign."""
+    """Return the rows of each logged sensor by name, (T, any); quaternions have continuous signs."""
     found = {name: getattr(log, name) for name in SENSORS if getattr(log, name) is not None}
     return found | {"attitude": log.attitude * signs_of(log.attitude)[:, None]}
 
 
 def frozen_sensors(log: FlightLog) -> list[FrozenSensor]:
-    """Return the sensors that repeat one value for longer than ``LONGEST_FROZEN_S`` while the vehicle moves."""
+    """Return the sensors that repeat one value in motion for longer than ``LONGEST_FROZEN_S``."""
     moving = _moving(log)
     sensors = _sensors(log).items()
     found = [_longest_frozen(log, name, find_repeated_samples(values, moving)) for name, values in sensors]
@@ -133,7 +133,7 @@ def frozen_sensors(log: FlightLog) -> list[FrozenSensor]:
 
 
 def unchanged_since(log: FlightLog) -> dict[str, int]:
-    """Return of each sensor the row from which on it has the value of the last one, whether the vehicle moves or not."""
+    """Return the row of each sensor's last change, in motion or not, by sensor name."""
     found = dict[str, int]()
     for name, values in _sensors(log).items():
         changes = np.flatnonzero(np.any(values[1:] != values[:-1], axis=1))
@@ -142,7 +142,7 @@ def unchanged_since(log: FlightLog) -> dict[str, int]:
 
 
 def _longest_frozen(log: FlightLog, name: str, repeats: RepeatedSamples) -> FrozenSensor:
-    """Return for how long a sensor keeps one value at most; a pose does only if the vehicle goes or turns meanwhile."""
+    """Return the longest time of one value of a sensor; for poses only while the vehicle moves enough."""
     ends = np.append(repeats.fresh[1:], repeats.num_rows - 1)
     frozen = log.time[ends] - log.time[repeats.fresh]
     changes = {"position": log.lin_vel, "attitude": log.ang_vel}.get(name)

@@ -1,4 +1,4 @@
-"""The clock of the rotor log of a robot: moved onto that of the other sensors, or refused where no clock is that far off.
+"""Correction of the rotor log's clock, or refusal of a delay beyond all clock offsets.
 
 Letters: T rows.
 """
@@ -25,19 +25,19 @@ from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass
 
 FAR_S = 0.25
-"""Delays of the rotor log are looked for up to this [s]."""
+"""Largest delay of the rotor log that is searched [s]."""
 
 FAR_GAIN = 0.5
-"""A delay beyond all clocks is believed if it leaves less than this share of what the best clock leaves."""
+"""A delay beyond clock offsets is accepted if its residual is less than this share of the best clock offset's."""
 
 ROWS_PER_BAND = 10.0
-"""Delays are looked for at this many times the bandwidth."""
+"""Sample rate of the delay search in units of the bandwidth."""
 
 
 def clock_offsets(logs: Sequence[FlightLog], robot: RobotCfg, bandwidth: float, learning: int) -> list[ClockOffset]:
-    """Return by how much each rotor log is ahead of the accelerometer, where the thrust of the first ``learning`` shows it.
+    """Return the clock offset of each rotor log relative to the accelerometer; the first ``learning`` logs decide.
 
-    Without velocity, drag along z would look like an offset, so that the clock is believed.
+    Without velocity the offset is 0, because drag along z would imitate one.
     """
     able = [log.rotor_speed is not None and log.specific_force is not None and log.lin_vel is not None for log in logs]
     curves = [offset_curve_of(log, robot, bandwidth) for log, one in zip(logs, able, strict=True) if one]
@@ -48,9 +48,9 @@ def clock_offsets(logs: Sequence[FlightLog], robot: RobotCfg, bandwidth: float, 
 def offset_curve_of(
     log: FlightLog, robot: RobotCfg, bandwidth: float, *, largest: float = LARGEST_SHIFT_S, stride: int = 1
 ) -> OffsetCurve:
-    """Return how well the logged rotor speeds agree with the accelerometer under each offset of the clock to ``largest`` [s].
+    """Return the residual curve of vertical force against rotor speeds, for clock offsets up to ``largest`` [s].
 
-    ``stride``: every so many rows are compared.
+    ``stride``: compare every so many rows.
     """
     assert log.specific_force is not None
     assert log.lin_vel is not None
@@ -65,7 +65,7 @@ def offset_curve_of(
 def turning_curves_of(
     log: FlightLog, robot: RobotCfg, bandwidth: float, *, largest: float, stride: int
 ) -> list[OffsetCurve]:
-    """Return the same for the turning about x and y, which what else acts along z does not touch; none without a gyro."""
+    """Return the residual curves of roll and pitch acceleration, free of other vertical forces; empty without a gyro."""
     if log.ang_vel is None:
         return []
     _, torque = _made_by_rotors(log, robot)
@@ -75,7 +75,7 @@ def turning_curves_of(
 
 
 def _made_by_rotors(log: FlightLog, robot: RobotCfg) -> tuple[Array, Array]:
-    """Return specific force along z [m/s²], (T,), and torque [N m], (T, 3), of the logged rotor speeds."""
+    """Return the rotors' specific force along z [m/s²], (T,), and torque [N m], (T, 3), at the logged speeds."""
     assert log.rotor_speed is not None
     rows = vehicle_from_config(robot, num_envs=log.time.size, dtype=torch.float64)
     speed = torch.from_numpy(log.rotor_speed)
@@ -91,7 +91,7 @@ def _ang_acc(log: FlightLog) -> Array:
 
 
 def _curve_of(waves: Array, rate: float, bandwidth: float, largest: float, stride: int) -> OffsetCurve:
-    """Return the curve of what is measured, what rotors make and what else acts, (T, any), at every so many rows."""
+    """Return the residual curve of columns (T, any): measurement, rotor prediction, other regressors; thinned by ``stride``."""
     band = min(bandwidth, DERIVED_BAND * rate)
     if stride > 1:
         waves, rate = lowpass(waves, rate, 2.0 * band)[::stride], rate / stride
@@ -99,9 +99,9 @@ def _curve_of(waves: Array, rate: float, bandwidth: float, largest: float, strid
 
 
 def check_rotor_clock(log: FlightLog, robot: RobotCfg, bandwidth: float) -> None:
-    """Raise ``DataError`` if measured rotor speeds clearly come later or earlier than any clock is off.
+    """Raise ``DataError`` if rotor speeds lead or lag the accelerometer by more than any clock offset.
 
-    Unless the turning says as clearly that they do not: then something else acts along z, a downwash.
+    Roll and pitch may clearly contradict this; then another vertical force, such as a downwash, is the cause.
     """
     if log.rotor_speed is None or log.specific_force is None or log.lin_vel is None:
         return

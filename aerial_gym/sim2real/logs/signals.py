@@ -1,6 +1,6 @@
-"""Zero-phase low-pass, derivatives and uniform time.
+"""Zero-phase low-pass, derivatives, spectra and uniform time steps.
 
-Everything here uses future samples: it is for logs, not for flight. Letters: T rows, K columns.
+All filters use future samples: they are for logs, not for flight. Letters: T rows, K columns.
 """
 
 from dataclasses import replace
@@ -17,13 +17,13 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import FlightLog, arrays_of, gap_limit, part_of
 
 FILTER_ORDER = 4
-"""Order of the Butterworth low-pass that is run forwards and backwards."""
+"""Order of the Butterworth low-pass, which runs forwards and backwards."""
 
 DERIVED_BAND = 0.2
-"""Derivatives that stand in for a missing sensor are low-passed at this share of the rate."""
+"""Bandwidth of derivatives that replace a sensor, as a share of the rate."""
 
 LOOSE_END = 0.05
-"""Rows beyond a gap are cut off if they are no more than this share of a log."""
+"""Largest share of rows beyond a gap at either end that is cut off."""
 
 
 def lowpass_gain(frequency: Array, bandwidth: float) -> Array:
@@ -35,19 +35,19 @@ def lowpass_gain(frequency: Array, bandwidth: float) -> Array:
 
 
 def lowpass(values: Array, rate: float, bandwidth: float, *, derivative: bool = False, late: float = 0.0) -> Array:
-    """Return ``values`` low-passed without phase, or their time derivative in the same band.
+    """Return ``values`` after a zero-phase low-pass, or their time derivative in the same band.
 
-    The ends are continued by point reflection about the line through the last half period, so that a level or a slope does
-    not ring and noise in the last row does not bend the end; rows within ``edge_rows`` should not be used all the same. A
-    column comes out the same beside any others, bit for bit.
+    Both ends continue by point reflection about a line fitted to the last half period. This prevents ringing of a level or
+    slope, and bending by noise in the last row. Rows within ``edge_rows`` should still be excluded. Each column's result
+    is independent of the other columns, bit for bit.
 
     Args:
         values: Samples at equal steps, (T, ...).
         rate: Samples per second [Hz].
         bandwidth: Frequency of half gain [Hz].
         derivative: Whether to multiply by ``2 pi i f``.
-        late: By how much later it comes than it was [s]; no more than ``edge_rows``. Multiplied by ``exp(-2 pi i f late)``,
-            which moves what is in the band exactly: of rows that are thinned to the band no interpolation does.
+        late: Delay of the result [s], at most ``edge_rows``. The factor ``exp(-2 pi i f late)`` is exact in the band;
+            interpolation of thinned rows would not be.
     """
     columns = np.ascontiguousarray(values.reshape(values.shape[0], -1).T)
     slow = lowpass_columns(columns, rate, bandwidth, derivative=derivative, late=late)
@@ -57,7 +57,7 @@ def lowpass(values: Array, rate: float, bandwidth: float, *, derivative: bool = 
 def lowpass_columns(
     columns: Array, rate: float, bandwidth: float, *, derivative: bool = False, late: float = 0.0
 ) -> Array:
-    """Return ``lowpass`` of columns (K, T), in the same layout."""
+    """Return ``lowpass`` for columns (K, T), in the same layout."""
     rows = columns.shape[1]
     pad = min(rows - 1, 3 * edge_rows(rate, bandwidth))
     end = _of_line(min(rows, max(2, round(0.5 * rate / bandwidth))))
@@ -68,7 +68,7 @@ def lowpass_columns(
     np.subtract(first, columns[:, pad:0:-1], out=circle[:, :pad])
     circle[:, pad : pad + rows] = columns
     np.subtract(last, columns[:, -2 : -pad - 2 : -1], out=circle[:, pad + rows : whole])
-    # The remaining gap of the circle is closed by a straight line, so that it adds no jump.
+    # A straight line closes the circle without a jump.
     blend = _blend(size - whole)
     circle[:, whole:] = circle[:, whole - 1 : whole] * (1.0 - blend) + circle[:, :1] * blend
     lines = np.asarray(fft.rfft(circle, axis=1, overwrite_x=True))
@@ -80,7 +80,7 @@ def lowpass_columns(
 
 @lru_cache(maxsize=32)
 def _gain(size: int, rate: float, bandwidth: float, derivative: bool) -> NDArray[np.complex128]:
-    """Return the factors of the lines of a spectrum of so many rows; not to be written to."""
+    """Return the filter's factors of the spectral lines of ``size`` rows; read-only."""
     frequency = fft.rfftfreq(size, 1.0 / rate)
     gain = lowpass_gain(frequency, bandwidth).astype(complex)
     return gain * (2j * np.pi * frequency) if derivative else gain
@@ -88,33 +88,33 @@ def _gain(size: int, rate: float, bandwidth: float, derivative: bool) -> NDArray
 
 @lru_cache(maxsize=32)
 def _blend(rows: int) -> Array:
-    """Return a line from 0 to 1 without its ends, (rows,); not to be written to."""
+    """Return a line from 0 to 1 without its ends, (rows,); read-only."""
     return np.linspace(0.0, 1.0, rows + 2)[1:-1]
 
 
 @lru_cache(maxsize=32)
 def _of_line(rows: int) -> Array:
-    """Return what the line fitted through some values has of each at the first one, (rows,); not to be written to."""
+    """Return the weights (rows,) of the fitted line's first value, ``1/n + x_0 x / (x . x)``; read-only."""
     place = np.arange(rows) - 0.5 * (rows - 1)
     return 1.0 / rows + place[0] * place / (place @ place)
 
 
 def without_line(values: Array) -> Array:
-    """Return values (..., T) without the straight line through each row."""
+    """Return values (..., T) minus the straight line fitted along the last axis."""
     place = np.arange(values.shape[-1]) - 0.5 * (values.shape[-1] - 1)
     slope = values @ place / (place @ place)
     return values - values.mean(axis=-1, keepdims=True) - slope[..., None] * place
 
 
 def hann(rows: int) -> Array:
-    """Return the periodic window of Hann, (rows,)."""
+    """Return the periodic Hann window, (rows,)."""
     return 0.5 + 0.5 * np.cos(np.linspace(-np.pi, np.pi, rows + 1)[:-1])
 
 
 def welch(values: Array, rate: float, rows: int) -> tuple[Array, Array]:
-    """Return frequencies [Hz], (L,), and the spectral density of columns (T, K) there, (L, K), one-sided.
+    """Return frequencies [Hz], (L,), and the one-sided spectral density of columns (T, K), (L, K).
 
-    Straight lines are taken out of segments of so many rows that overlap by half, under the window of Hann.
+    Segments of ``rows`` rows overlap by half and have a Hann window, after removal of a straight line.
     Source: Welch (1967), The use of fast Fourier transform for the estimation of power spectra, IEEE Trans. AU-15.
     """
     window = hann(rows)
@@ -126,37 +126,37 @@ def welch(values: Array, rate: float, rows: int) -> tuple[Array, Array]:
 
 
 def lagged(values: Array, kept: float, start: Array) -> Array:
-    """Return what a lag makes of values (T, K) from a start (K,): ``y_n = kept y_(n-1) + (1 - kept) x_(n-1)``."""
+    """Return the first-order lag of values (T, K) from a start (K,): ``y_n = kept y_(n-1) + (1 - kept) x_(n-1)``."""
     return decaying_sum(np.concatenate((start[None], (1.0 - kept) * values[:-1])), kept)
 
 
 def edge_rows(rate: float, bandwidth: float) -> int:
-    """Return the number of rows at each end that the low-pass may spoil: two periods of its bandwidth."""
+    """Return the number of rows at each end that the low-pass may spoil: two periods of its bandwidth, plus one."""
     return round(2.0 * rate / bandwidth) + 1
 
 
 def continuous_quaternion(attitude: Array) -> Array:
-    """Return unit quaternions (T, 4) of the same attitudes without jumps of sign from row to row."""
+    """Return the normalised quaternions (T, 4) with continuous signs."""
     unit = attitude / np.linalg.norm(attitude, axis=1, keepdims=True)
     return unit * signs_of(unit)[:, None]
 
 
 def signs_of(attitude: Array) -> Array:
-    """Return +1 or -1 per row, (T,), that takes the jumps of sign out of quaternions (T, 4)."""
+    """Return the signs (T,), +1 or -1, that make quaternions (T, 4) continuous."""
     flips = np.where((attitude[1:] * attitude[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
     return np.concatenate(([1.0], np.cumprod(flips)))
 
 
 def interpolated(at: Array, time: Array, values: Array) -> Array:
-    """Return columns (T, K) at other times, in straight lines between rows."""
+    """Return columns (T, K) interpolated linearly at other times."""
     return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
 
 
 def without_gaps(log: FlightLog) -> FlightLog:
-    """Return the log without a short piece at either end that a gap in time cuts off.
+    """Return the log without short pieces at either end beyond a time gap.
 
     Raises:
-        DataError: If rows are missing for longer than can be bridged.
+        DataError: If a longer gap remains.
     """
     log = _without_loose_ends(log)
     steps = np.diff(log.time)
@@ -171,10 +171,10 @@ def without_gaps(log: FlightLog) -> FlightLog:
 
 
 def uniform_log(log: FlightLog) -> FlightLog:
-    """Return the log with equal time steps and unit quaternions without jumps of sign; commands stay held.
+    """Return the log at equal time steps with unit quaternions of continuous sign; commands stay held.
 
     Raises:
-        DataError: If rows are missing for longer than can be bridged.
+        DataError: If a gap cannot be bridged.
     """
     log = without_gaps(log)
     steps = np.diff(log.time)
@@ -197,7 +197,7 @@ def uniform_log(log: FlightLog) -> FlightLog:
 
 
 def _without_loose_ends(log: FlightLog) -> FlightLog:
-    """Return the log without a short piece at either end that a gap cuts off, and say so."""
+    """Return the log without short pieces at either end beyond a gap, with a finding."""
     steps = np.diff(log.time)
     limit = gap_limit(float(np.median(steps)))
     edges = [0, *(np.flatnonzero(steps > limit) + 1).tolist(), log.time.size]

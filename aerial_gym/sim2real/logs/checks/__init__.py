@@ -1,1 +1,1 @@
-"""Is a log what it claims to be: frames, clocks, kinematics, rotors."""
+"""Consistency checks of a flight log: units, frames, clocks, kinematics and rotor columns."""

@@ -1,6 +1,6 @@
-"""Is this log what it claims to be: units, frames, order of the quaternion, sign of gravity.
+"""Check units, frames, quaternion order and the sign of gravity of a flight log.
 
-Each check compares two things that were measured independently, and refuses only what no real vehicle could do.
+Each check compares two independent measurements. It refuses only a contradiction that no real vehicle can cause.
 Letters: T rows.
 """
 
@@ -26,23 +26,23 @@ from aerial_gym.sim2real.logs.signals import lowpass
 SHORTEST_S = 2.0
 LOWEST_RATE_HZ = 20.0
 WORST_AGREEMENT = 0.7
-"""Two sensors that differ by more than this share of their signal do not measure the same thing."""
+"""Largest relative difference between two measurements of the same quantity."""
 
 QUIET_RATE = 0.1
-"""Below this rms angular velocity [rad/s] a comparison with the attitude says nothing."""
+"""Below this RMS angular velocity [rad/s] the comparison with the attitude is skipped."""
 
 QUIET_SPEED = 0.3
-"""Likewise for velocity [m/s]."""
+"""Below this RMS velocity [m/s] the comparison with the position is skipped."""
 
 QUIET_FORCE = 0.5
-"""Likewise for acceleration [m/s²]."""
+"""Acceleration [m/s²] that the relative error of the acceleration is divided by at least."""
 
 LEAST_ACROSS = 1.0
-"""Rms of the specific force across z [m/s²] in world axes from which tilt stands out from drag."""
+"""Least horizontal RMS specific force [m/s²] that reveals world axes; drag alone causes less."""
 
 
 def check_log(log: FlightLog, robot: RobotCfg) -> list[Finding]:
-    """Raise ``DataError`` for a log that is not what it claims to be; return notes about lesser defects."""
+    """Raise ``DataError`` for a log that contradicts itself; return findings on smaller defects."""
     check_rotors(log, robot)
     _check_constant_columns(log)
     attitude = Rotation.from_quat(log.attitude)
@@ -56,7 +56,7 @@ def check_log(log: FlightLog, robot: RobotCfg) -> list[Finding]:
 
 
 def check_time(log: FlightLog) -> None:
-    """Raise ``DataError`` for a log that is too short or too slow; first of all, for a wrong unit of t looks like much else."""
+    """Raise ``DataError`` for a log that is too short or too slow; run this first, as a wrong time unit spoils all checks."""
     span = float(log.time[-1] - log.time[0]) if log.time.size > 1 else 0.0
     if span < SHORTEST_S:
         raise DataError(f"{log.path}: lasts {span:.3g} s, needs at least {SHORTEST_S:g} s; is t in seconds?")
@@ -69,9 +69,9 @@ def check_time(log: FlightLog) -> None:
 
 
 def _unit_of_time(log: FlightLog) -> str:
-    """Return ms, us or ns if the motion from row to row says that the time is in it, else nothing.
+    """Return the unit of the time column (ms, us or ns) from the ratio of motion to rate; empty if it is seconds.
 
-    The vehicle then turns, or goes, by the unit times its logged rate.
+    In a wrong unit, each row's motion is the unit times the logged rate times the time step.
     """
     step = np.diff(log.time)[:, None]
     turned = (Rotation.from_quat(log.attitude[:-1]).inv() * Rotation.from_quat(log.attitude[1:])).as_rotvec()
@@ -84,10 +84,10 @@ def _unit_of_time(log: FlightLog) -> str:
 
 
 def without_bad_quaternions(log: FlightLog) -> FlightLog:
-    """Return the log without rows whose quaternion is none, before anything makes it unit.
+    """Return the log without rows whose attitude is not a unit quaternion; call before normalisation.
 
     Raises:
-        DataError: If they are more than ``MOST_BAD``.
+        DataError: If their share exceeds ``MOST_BAD``.
     """
     norm = np.linalg.norm(log.attitude, axis=1)
     bad = np.abs(norm - 1.0) > NORM_OFF
@@ -123,13 +123,13 @@ def _rms(values: Array) -> float:
 
 
 def _inner(log: FlightLog) -> slice:
-    """Return the rows that are compared: without half a second at either end."""
+    """Return the compared rows: all but half a second at either end."""
     edge = round(0.5 * rate_of(log))
     return slice(edge, -edge)
 
 
 def _slow(values: Array, log: FlightLog, *, derivative: bool = False) -> Array:
-    """Return a signal, or its derivative, in the band and the rows that are compared."""
+    """Return the low-passed signal, or its derivative, at the compared rows."""
     return lowpass(values, rate_of(log), CHECK_BANDWIDTH_HZ, derivative=derivative)[_inner(log)]
 
 
@@ -153,7 +153,7 @@ READINGS: dict[str, Callable[[Array], Array]] = {
         q[:, [1, 2, 3, 0]] * (-1.0, -1.0, -1.0, 1.0)
     ),
 }
-"""Other readings of four columns that users mix up."""
+"""Common wrong conventions of the four quaternion columns, each with its correction."""
 
 
 def _check_attitude_against_rate(log: FlightLog, attitude: Rotation) -> None:
@@ -188,7 +188,7 @@ def _check_attitude_against_rate(log: FlightLog, attitude: Rotation) -> None:
 
 
 def _check_gravity(log: FlightLog, attitude: Rotation) -> None:
-    """The mean specific force of a flight in world axes is +g on z, up to the gain of velocity over the flight."""
+    """Check that the mean specific force in world axes is about +g on z, apart from the mean acceleration."""
     if log.specific_force is None:
         return
     mean = attitude.apply(log.specific_force).mean(axis=0)
@@ -222,7 +222,7 @@ def _check_gravity(log: FlightLog, attitude: Rotation) -> None:
 
 
 def _upside_down(log: FlightLog, attitude: Rotation) -> str:
-    """Return the way out where gravity is negative in body and world axes: with both z down, velocity rises with acc."""
+    """Return the remedy for gravity that is negative in body and world axes: if both have z down, velocity rises with acc."""
     both = "give body_frame: frd and world_frame: ned in a mapping file"
     if log.lin_vel is None:
         return f"if its signs are turned, turn them; if body and world axes have z down, {both}"
@@ -252,9 +252,9 @@ def _check_velocity(log: FlightLog, attitude: Rotation) -> None:
 
 
 def _check_force_frame(log: FlightLog, attitude: Rotation) -> None:
-    """Tell an accelerometer in world axes from one in body axes, and velocities in other axes than those of the attitude.
+    """Refuse an accelerometer in world axes, and velocities in other world axes than the attitude.
 
-    Without velocity the rotors tell: they push along body z, so that little is left across it.
+    Without velocity and position, thrust decides: it acts along body z, so body x and y read little.
     """
     if log.specific_force is None:
         return
@@ -278,7 +278,7 @@ def _check_force_frame(log: FlightLog, attitude: Rotation) -> None:
 
 
 def _motion(log: FlightLog, velocity: Array | None = None) -> Array:
-    """Return the acceleration [m/s²] of the logged velocity, of the position where there is none, or of a velocity given."""
+    """Return the acceleration [m/s²], (T, 3), from ``velocity``, the logged velocity or else the position."""
     if velocity is None:
         velocity = log.lin_vel
     if velocity is None:
@@ -288,7 +288,7 @@ def _motion(log: FlightLog, velocity: Array | None = None) -> Array:
 
 
 def _check_motion_frame(log: FlightLog, attitude: Rotation, felt: Array) -> None:
-    """Compare the acceleration that the accelerometer feels in the world with that of velocity or position, (T, 3) each."""
+    """Compare the accelerometer in world axes without gravity, (T, 3), with the derivative of velocity or position, (T, 3)."""
     motion = _motion(log)
     size = max(_rms(motion), _rms(felt))
     miss = _rms(motion - felt) / max(size, QUIET_FORCE)

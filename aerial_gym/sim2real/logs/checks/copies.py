@@ -1,7 +1,7 @@
-"""Whether a log holds another one's measurements: a copy, renamed, trimmed or thinned, is no other flight.
+"""Detection of duplicated flights: the same measurements in two logs, also renamed, trimmed or thinned.
 
-Sensors that measure never read the same twice in all their digits, so that rows which agree value by value were measured
-once. Time and what may be missing in one of both are not compared. Letters: T rows.
+Independent measurements never agree in all digits, so rows with equal values are the same measurement.
+Time and quantities that one log lacks are not compared. Letters: T rows.
 """
 
 from collections.abc import Sequence
@@ -12,25 +12,24 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.recording import FlightLog
 
 READINGS = ("ang_vel", "specific_force", "lin_vel", "position")
-"""What is compared; the attitude alone where two logs have none of these in common, for it may be integrated from where a log
-begins."""
+"""Compared quantities; the attitude alone if two logs share none, since it may be integrated from the log's start."""
 
 MOST_SHARED = 0.1
-"""Flights of a simulator without noise may begin alike, and sensors in coarse steps may read alike on the ground."""
+"""Largest accepted share of equal rows: noise-free simulations start alike, and coarse sensors repeat on the ground."""
 
 
 class SeenLogs:
-    """Logs of one run, each held against those before it."""
+    """Logs of one run, each compared with all earlier ones."""
 
     def __init__(self) -> None:
         self._logs: list[FlightLog] = []
         self._rows: dict[tuple[str, tuple[str, ...]], frozenset[bytes]] = {}
 
     def add(self, log: FlightLog) -> None:
-        """Take one more log, as it was read.
+        """Add a log as read from its file.
 
         Raises:
-            DataError: If its rows, or those of an earlier log, stand in the other one.
+            DataError: If this log and an earlier one share more than ``MOST_SHARED`` of the shorter one's rows.
         """
         for other in self._logs:
             names = [name for name in READINGS if getattr(log, name) is not None and getattr(other, name) is not None]
@@ -44,7 +43,7 @@ class SeenLogs:
         self._logs.append(log)
 
     def _readings(self, log: FlightLog, names: Sequence[str]) -> frozenset[bytes]:
-        """Return the different rows of some sensors."""
+        """Return the set of distinct rows of the named sensors."""
         key = (log.path, tuple(names))
         if key not in self._rows:
             table = np.ascontiguousarray(np.concatenate([getattr(log, name) for name in names], axis=1))

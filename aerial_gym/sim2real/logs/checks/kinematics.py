@@ -1,6 +1,7 @@
-"""Do attitude, velocity, gyro and accelerometer agree by kinematics alone: biases, misalignments and clocks of the IMU.
+"""Estimate bias, misalignment and delay of gyro and accelerometer from attitude and velocity.
 
-No mass, thrust or drag enters: what is found here is a matter of the sensors, not of the model. Letters: T rows.
+The comparison is pure kinematics, without mass, thrust or drag. Its results concern sensors, not the model.
+Letters: T rows.
 """
 
 from dataclasses import dataclass
@@ -15,23 +16,23 @@ from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
 from aerial_gym.sim2real.statistics import student_quantile
 
 CHECK_BANDWIDTH_HZ = 4.0
-"""Comparisons are made below this: slow enough for every log, fast enough for every flight."""
+"""Low-pass frequency of the comparison [Hz], below the limits of all logs."""
 
 BLOCK_S = 0.5
-"""Residuals further apart than this [s] are taken as independent."""
+"""Length of blocks [s] whose residuals count as independent."""
 
 FEWEST_BLOCKS = 8
 
 QUIET = {"gyro": 0.1, "accelerometer": 0.3}
-"""Below this rms of the motion [rad/s], [m/s²] nothing but a bias can be told."""
+"""Least RMS motion [rad/s], [m/s²] from which angles and delay are fitted; below it only the bias is."""
 
 MATERIAL = {"gyro": 0.01, "accelerometer": 0.1, "misalignment": np.radians(1.0), "clock": 0.002}
-"""Smaller biases [rad/s], [m/s²], angles [rad] and clock offsets [s] are not worth a sentence."""
+"""Smallest bias [rad/s], [m/s²], angle [rad] and delay [s] that are reported."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImuErrors:
-    """One sensor against the motion: ``measured(t) = (I - [angle]x) motion(t - delay) + bias``."""
+    """Errors of one sensor: ``measured(t) = (I - [angle]x) motion(t - delay) + bias``."""
 
     sensor: str
     """gyro or accelerometer."""
@@ -43,13 +44,13 @@ class ImuErrors:
     """Rotation of the sensor's axes against the body's [rad], (3,)."""
 
     delay: float
-    """By how much the sensor's clock lags that of the attitude or velocity [s]."""
+    """Delay of the sensor's clock behind that of attitude or velocity [s]."""
 
     half_width: Array
-    """Half widths of the 95 % intervals of bias, angle and delay, (7,); infinite: the flight does not show it."""
+    """Half widths of the 95 % intervals of bias, angle and delay, (7,); infinite if not observable."""
 
     def findings(self) -> list[Finding]:
-        """Return the errors that are certain and material; an axis that the flight does not show has no half width."""
+        """Return findings on significant and material errors; unobservable axes have half width None."""
         unit, found = {"gyro": "rad_s", "accelerometer": "m_s2"}[self.sensor], []
         sure = np.abs(np.concatenate((self.bias, self.angle, [self.delay]))) > self.half_width
 
@@ -71,10 +72,10 @@ class ImuErrors:
 
 
 def kinematic_errors(log: FlightLog) -> list[ImuErrors]:
-    """Return how gyro and accelerometer agree with attitude and velocity, for what the log has.
+    """Return the errors of gyro against attitude and of accelerometer against velocity, for each sensor in the log.
 
-    The log has equal time steps. The gyro is compared with the derivative of the attitude, the accelerometer with that of the
-    velocity plus gravity, turned into body axes.
+    The log has equal time steps. The gyro is compared with the attitude's derivative. The accelerometer is compared with
+    the derivative of velocity plus gravity, in body axes.
     """
     rate = rate_of(log)
     found = []
@@ -88,14 +89,14 @@ def kinematic_errors(log: FlightLog) -> list[ImuErrors]:
 
 
 def attitude_rate(attitude: Array, rate: float) -> Array:
-    """Return the angular velocity [rad/s], body, (T, 3), from the turn between the rows before and after each."""
+    """Return the angular velocity [rad/s], body, (T, 3), by central differences of the attitude."""
     turn = Rotation.from_quat(attitude)
     inner = (turn[:-2].inv() * turn[2:]).as_rotvec() * (0.5 * rate)
     return np.concatenate((inner[:1], inner, inner[-1:]))
 
 
 def _fit_errors(sensor: str, measured: Array, motion: Array, level: Array, rate: float) -> ImuErrors | None:
-    """Return the errors of a sensor; None if the log is too short. ``level``: part of the motion that a hover has as well."""
+    """Return the fitted errors of a sensor; None if the log is too short. ``level``: the motion at hover."""
     band = min(CHECK_BANDWIDTH_HZ, 0.2 * rate)
     slow, rise = lowpass(motion, rate, band), lowpass(motion, rate, band, derivative=True)
     edge = edge_rows(rate, band)
@@ -112,7 +113,7 @@ def _fit_errors(sensor: str, measured: Array, motion: Array, level: Array, rate:
     shifted = -rise[:, :, None]
     still = np.broadcast_to(np.eye(3), (len(left), 3, 3))
     causes = np.concatenate((still, turned, shifted), axis=2)
-    # What the vehicle does not do shows nothing: an angle needs motion across its axis, a delay motion that changes.
+    # An angle is observable only with motion across its axis, a delay only with motion that varies.
     across = np.sqrt(np.mean(np.sum(turned**2, axis=1), axis=0))
     moving = float(np.sqrt(np.mean(np.sum((slow - level) ** 2, axis=1)))) > QUIET[sensor]
     shown = np.flatnonzero(np.concatenate((np.ones(3), (across > QUIET[sensor]) & moving, [moving])))

@@ -1,7 +1,7 @@
-"""Does the thrust that is felt grow with the rotor columns as the robot file says: are they what they claim to be.
+"""Check that the measured force rises with the rotor columns as the declared thrust map predicts.
 
-A pulse width, a duty cycle or a thrust in place of a speed may carry the vehicle in hover, but its slope there is another
-one: in units of the declared slope 1.5 to 3, 1/2, and 2. Letters: T rows, R rotors, N windows.
+A pulse width, a duty cycle or a thrust in place of a speed may give the right hover thrust with a wrong slope.
+Relative to the declared slope these give 1.5 to 3, 1/2 and 2. Letters: T rows, R rotors, N windows.
 """
 
 import numpy as np
@@ -16,17 +16,17 @@ from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
 from aerial_gym.sim2real.statistics import student_quantile
 
 WINDOW_S = 0.25
-"""[s]."""
+"""Length of the averaging windows [s]."""
 
 FEWEST = 8
-"""Fewer windows give no interval."""
+"""Least surplus of windows over fitted coefficients."""
 
 WRONG = float(np.sqrt(2.0))
-"""Beyond this, or below its inverse, a slope is nearer to that of a mistaken column (2 or 1/2) than to 1."""
+"""Ratio beyond which a slope is nearer to 2 or 1/2, those of a mistaken column, than to 1."""
 
 
 def check_rotor_law(log: FlightLog, robot: RobotCfg, on_ground: Flags | None) -> None:
-    """Raise ``DataError`` if the thrust surely grows with the rotor columns as it does with something else."""
+    """Raise ``DataError`` if the interval of the relative slope lies outside 1 / WRONG to WRONG."""
     for name, values in (("rotor", log.rotor_speed), ("cmd", log.rotor_command)):
         if values is None or log.specific_force is None:
             continue
@@ -43,9 +43,9 @@ def check_rotor_law(log: FlightLog, robot: RobotCfg, on_ground: Flags | None) ->
 
 
 def relative_slope(log: FlightLog, thrust: Array, on_ground: Flags | None) -> tuple[float, float]:
-    """Return the interval of ``d ln |f| / d ln T``, what goes with vertical and with squared level speed apart.
+    """Return the interval of ``d ln |f| / d ln T``, without the parts linear in climb rate and squared level speed.
 
-    Both sides have errors: the slope lies between that of both regressions (see ``units``). 0 to infinity: not shown.
+    Both sides have errors, so the slope lies between the two regressions (see ``units``). 0 to infinity: not observable.
     """
     assert log.specific_force is not None
     rows = max(1, round(WINDOW_S * rate_of(log)))

@@ -1,4 +1,4 @@
-"""Do the columns of the rotors stand in the order of the robot file: does each turn the vehicle as declared.
+"""Check the order of the rotor columns by the torques that they predict.
 
 Letters: T rows, R rotors, N orders.
 """
@@ -20,14 +20,14 @@ from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
 
 MOST_ROTORS = 6
-"""Of more rotors there are too many orders to try."""
+"""More rotors have too many orders to try."""
 
 BETTER = 0.4
-"""Another order is believed if it leaves less than this share of what the declared one leaves."""
+"""Another order is accepted if its residual is less than this share of the declared order's."""
 
 
 def check_order(log: FlightLog, robot: RobotCfg) -> None:
-    """Raise ``DataError`` if the vehicle turns as another order of the rotor columns makes it turn, not as the declared one."""
+    """Raise ``DataError`` if another order of the rotor columns predicts the angular acceleration much better."""
     if log.ang_vel is None or log.collective or not log.torques or not 2 <= robot.num_rotors <= MOST_ROTORS:
         return
     rate = rate_of(log)
@@ -43,7 +43,7 @@ def check_order(log: FlightLog, robot: RobotCfg) -> None:
     for name, values in (("rotor", log.rotor_speed), ("cmd", log.rotor_command)):
         if values is None:
             continue
-        orders = np.array(list(permutations(range(robot.num_rotors))))  # the first one is the declared
+        orders = np.array(list(permutations(range(robot.num_rotors))))  # the declared order is first
         misses = _misses(robot, turning, slow, values, orders, inertia)
         best = int(np.argmin(misses))
         if misses[0] > WORST_AGREEMENT and misses[best] < BETTER * misses[0]:
@@ -63,7 +63,7 @@ def _misses(
     orders: Indices,
     inertia: Array,
 ) -> Array:
-    """Return the share of the angular acceleration that each order leaves, mean over the axes, (N,)."""
+    """Return the relative residual of the angular acceleration under each order, mean over axes, (N,)."""
     one, count = vehicle_from_config(robot, num_envs=1, dtype=torch.float64), robot.num_rotors
     single, none = torch.eye(count, dtype=torch.float64), torch.zeros(count, count, dtype=torch.float64)
     lever, reaction = (rotor_wrench(one, *pair)[1].numpy() for pair in ((single, none), (none, single)))

@@ -1,5 +1,4 @@
-"""Are the columns of rotors and commands what they claim to be: speeds of this robot's rotors in rad/s, in force mode
-thrusts in N.
+"""Check that rotor and command columns hold rotor speeds [rad/s], or thrusts [N] in force mode.
 
 Letters: T rows, R rotors.
 """
@@ -19,7 +18,7 @@ from aerial_gym.sim2real.logs.recording import FlightLog
 
 
 def check_rotors(log: FlightLog, robot: RobotCfg) -> None:
-    """Raise ``DataError`` for rotor columns of another robot, unit or sign."""
+    """Raise ``DataError`` for rotor columns with a wrong number, unit or sign."""
     if log.num_rotors != robot.num_rotors:
         raise DataError(
             f"{log.path}: has {log.num_rotors} rotor columns, the robot has {robot.num_rotors} rotors; "
@@ -38,7 +37,7 @@ def check_rotors(log: FlightLog, robot: RobotCfg) -> None:
 
 
 def without_copied_commands(log: FlightLog) -> FlightLog:
-    """Return the log without commands that are the measured speeds: no rotor follows at once and to the last digit."""
+    """Return the log without commands that equal the measured speeds in every digit, as real rotors lag."""
     speed, command = log.rotor_speed, log.rotor_command
     if speed is None or command is None or not np.array_equal(speed, command):
         return log
@@ -46,7 +45,7 @@ def without_copied_commands(log: FlightLog) -> FlightLog:
 
 
 def _check_sign(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> None:
-    """A sensor at rest may read a little below zero; a rotor that flies does not, unless it is reversible."""
+    """Refuse a negative median speed of a rotor that is not reversible; noise at rest may be negative."""
     one_way = np.array([not rotor.reversible for rotor in robot.rotor_types])
     backwards = np.flatnonzero((np.median(values, axis=0) < 0.0) & one_way)
     if backwards.size:
@@ -58,7 +57,7 @@ def _check_sign(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> No
 
 
 def _check_unit(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> None:
-    """The declared thrust at high logged speeds must carry the vehicle, give or take a factor of three."""
+    """Check that the declared thrust at high logged speeds is the weight within a factor of three."""
 
     def high(states: Array) -> float:
         return float(np.percentile(lift(robot, states), 90.0))

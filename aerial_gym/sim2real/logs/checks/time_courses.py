@@ -1,7 +1,7 @@
-"""Is a log one time course: does the motion go on where its clock was corrected, and from row to row.
+"""Check that a log is one continuous flight: rows follow each other in time, also across clock corrections.
 
-Attitude, position and velocity change from row to row as angular velocity, velocity and specific force say. Rows that were not
-measured one after the other do not. Letters: T rows, N windows.
+Attitude, position and velocity must change from row to row by their measured rates. Rows of two flights do not.
+Letters: T rows, N windows.
 """
 
 from collections.abc import Sequence
@@ -14,22 +14,22 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog
 
 SURPRISE = 1e-3
-"""Share of rows whose errors may be larger than the one that an error across a step of the clock is compared with."""
+"""Share of ordinary rows whose errors may exceed the reference error of a clock step."""
 
 WINDOW_ROWS = 50
-"""Rows that are judged together: errors of one course then differ by a tenth between lags."""
+"""Rows per window; the errors of one flight then differ by a tenth between lags."""
 
 LAGS = (2, 3, 4)
-"""Rows between two of the same course, where two courses alternate; 3 and 4 are for an irregular order."""
+"""Distance in rows between rows of the same flight if two alternate; 3 and 4 cover irregular orders."""
 
 APART = 3.0
-"""The ratio of the errors is about 1 in one time course, and the distance of the courses over the noise in two."""
+"""Least ratio of the errors that indicates two flights; it is about 1 within one flight."""
 
 
 def check_clock_steps(log: FlightLog, times: Sequence[float]) -> None:
-    """Raise ``DataError`` if the motion does not go on where the clock was corrected, at these times [s].
+    """Raise ``DataError`` if the motion is discontinuous at the corrected clock steps at these times [s].
 
-    The error of the motion there is compared with that of all other rows that are as far apart in time.
+    Its error there is compared with the errors of all other row pairs with the same time difference.
     """
     rows = np.searchsorted(log.time, times)
     rows = rows[(rows > 0) & (rows < log.time.size)]
@@ -49,9 +49,9 @@ def check_clock_steps(log: FlightLog, times: Sequence[float]) -> None:
 
 
 def check_one_course(log: FlightLog) -> None:
-    """Raise ``DataError`` if the rows follow two time courses in turn, as after sorting a log whose clock was set back.
+    """Raise ``DataError`` if rows of two flights alternate, as after sorting a log whose clock was set back.
 
-    One quantity tells which earlier row each row goes on from; another one then fits that row far better than the row before.
+    One quantity chooses the best preceding row. Another one must then fit that row far better than the row just before.
     """
     errors = {lag: motion_errors(log, lag) for lag in (1, *LAGS)}
     names, first = list(errors[1]), LAGS[-1]
@@ -73,9 +73,9 @@ def check_one_course(log: FlightLog) -> None:
 
 
 def motion_errors(log: FlightLog, lag: int) -> dict[str, Array]:
-    """Return the errors of the change over some rows against its rate, by quantity, (T - lag,) each.
+    """Return the change over ``lag`` rows minus the integrated rate, as norms (T - lag,) by quantity.
 
-    The attitude is in rad, position in m, velocity in m/s. A quantity whose rate was not measured should not change.
+    Units: attitude rad, position m, velocity m/s. An unmeasured rate counts as 0.
     """
     passed = (log.time[lag:] - log.time[:-lag])[:, None]
     attitude = Rotation.from_quat(log.attitude)
@@ -91,19 +91,19 @@ def motion_errors(log: FlightLog, lag: int) -> dict[str, Array]:
 
 
 def _acceleration(log: FlightLog) -> Array | None:
-    """Return the acceleration that the accelerometer feels [m/s²], world, (T, 3); None without one."""
+    """Return the acceleration [m/s²], world, (T, 3), from the accelerometer; None without one."""
     if log.specific_force is None:
         return None
     return Rotation.from_quat(log.attitude).apply(log.specific_force) - AT_REST
 
 
 def _mean_rate(rate: Array | None, lag: int, like: Array) -> Array:
-    """Return the mean of a rate at both ends of some rows, (T - lag, 3); 0 if it was not measured."""
+    """Return the mean of a rate at both ends of ``lag`` rows, (T - lag, 3); 0 if it was not measured."""
     return np.zeros_like(like) if rate is None else 0.5 * (rate[lag:] + rate[:-lag])
 
 
 def _motion_over(log: FlightLog, rows: int) -> dict[str, Array]:
-    """Return the motion of each quantity over some rows at its measured rate, (T - rows,): sensors that repeat err by less."""
+    """Return the distance moved over ``rows`` rows at the measured rate, (T - rows,), by quantity; repeats err by less."""
     passed = log.time[rows:] - log.time[:-rows]
     rates = {"attitude": log.ang_vel, "position": log.lin_vel, "velocity": _acceleration(log)}
     still = np.zeros(passed.size)

@@ -1,9 +1,9 @@
-"""Do position, velocity and accelerometer have one unit, one sign and one order of axes.
+"""Check that position, velocity and accelerometer agree in unit, sign and order of axes.
 
-Over windows of half a second the way equals the integral of the velocity, and the change of velocity that of the
-acceleration felt: no model of the vehicle enters. Both sides have errors, which pull a slope to zero if they are the
-regressor's and pull its inverse if they are the other's: the true factor lies between both (Frisch, 1934, Statistical
-Confluence Analysis). A log that hardly moves has a wide interval, and passes. Letters: N windows.
+Over windows of 0.5 s the change of position is the integral of velocity, and that of velocity the integral of
+acceleration; no vehicle model enters. Errors in both variables bias the slope of either regression. The true factor
+lies between the two slopes (Frisch, 1934, Statistical Confluence Analysis). A log with little motion has a wide
+interval and passes. Letters: N windows.
 """
 
 from dataclasses import dataclass
@@ -24,88 +24,88 @@ from aerial_gym.sim2real.statistics import normal_above, student_quantile
 AXES = np.arange(3)
 
 WINDOW_S = 0.5
-"""[s]: errors of windows are taken as independent of each other."""
+"""Window length [s]; errors of different windows count as independent."""
 
 SURE = normal_above(4.0)
-"""A log is refused if what it claims lies beyond a quantile of so little probability: many logs have six axes each."""
+"""Error probability of a refusal per axis, small because each log has six axes."""
 
 CLEARLY = 10.0
-"""Another order of axes is believed if it is exp(10) times as likely, and explains four fifths of each axis."""
+"""Least log likelihood ratio of another order of axes; each moved axis must also be explained to ``SHARED``."""
 
 SHARED = 0.8
 
 FEWEST = 4
-"""Fewer windows give no interval."""
+"""Least number of windows."""
 
 DERIVED_HZ = 4.0
-"""A velocity is derived from the position below this [Hz]."""
+"""Bandwidth of a velocity that is derived from the position [Hz]."""
 
 MATERIAL = 0.05
-"""A factor that is nearer to 1 than this, though not 1, is not worth a sentence."""
+"""Least deviation of a factor from 1 that is reported."""
 
 FITS = 0.1
-"""A unit is named if the factor is its own within a tenth: estimators of velocity err by that (the IDSIA flights by 0.09)."""
+"""A unit is named if its factor fits within a tenth: velocity estimators err so much (IDSIA flights: 0.09)."""
 
 VELOCITY_UNITS = ("km/h", "mph", "kn", "ft/s", "cm/s", "mm/s")
 POSITION_UNITS = ("ft", "cm", "mm")
 
 WRONG = np.log([1.0, *(UNITS[u] for u in VELOCITY_UNITS), *(1.0 / UNITS[u] for u in POSITION_UNITS)])
-"""Factors of the way over the integrated velocity that mistaken units make; 1 for none, first."""
+"""Log ratios of distance to integrated velocity under mistaken units; the first one, 0, is correct units."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Relation:
-    """How one vector follows another one, axis by axis: ``effect_i = factor_i cause_order(i)`` and a constant."""
+    """Axis-by-axis relation of two vectors: ``effect_i = factor_i cause_order(i) + constant``."""
 
     order: tuple[int, ...]
-    """Which axis of the cause each axis of the effect follows."""
+    """Index of the cause's axis for each axis of the effect."""
 
     factor: Array
-    """With its sign, (3,)."""
+    """Signed slope, (3,)."""
 
     low: Array
-    """Interval of the factor's size, (3,); where not even the sign is sure: 0 to infinity."""
+    """Lower limit of the interval of ``|factor|``, (3,); 0, with ``high`` infinite, if the sign is uncertain."""
 
     high: Array
 
     share: Array
-    """Part of each axis that the other explains, squared correlation, (3,)."""
+    """Squared correlation of each pair of axes, (3,)."""
 
     @property
     def told(self) -> Flags:
-        """Return on which axes the motion shows sign and size, (3,)."""
+        """Return the axes with a certain sign and size of the factor, (3,)."""
         return self.low > 0.0
 
     @property
     def moved(self) -> Flags:
-        """Return which axes follow another one, (3,)."""
+        """Return the axes that follow another axis of the cause, (3,)."""
         return np.array(self.order) != np.arange(3)
 
     @property
     def turned(self) -> Flags:
-        """Return which axes have the other sign, (3,)."""
+        """Return the axes with inverted sign, (3,)."""
         return self.told & (self.factor < 0.0) & (self.share > SHARED)
 
     @property
     def scaled(self) -> Flags:
-        """Return on which axes the factor surely is not 1, and nearer to that of a mistaken unit, (3,)."""
+        """Return the axes whose factor differs from 1 and is nearest to that of a mistaken unit, (3,)."""
         size = np.log(np.where(self.told, np.abs(self.factor), 1.0))
         unit = np.argmin(np.abs(size[:, None] - WRONG), axis=1) > 0
         return self.sure & unit
 
     @property
     def sure(self) -> Flags:
-        """Return on which axes the size of the factor surely is not 1, (3,)."""
+        """Return the axes whose ``|factor|`` differs significantly from 1, (3,)."""
         return self.told & ((self.low > 1.0) | (self.high < 1.0))
 
     @property
     def off(self) -> Flags:
-        """Return which axes are not what they claim, (3,)."""
+        """Return the axes with a wrong order, sign or unit, (3,)."""
         return self.moved | self.turned | self.scaled
 
 
 def relate(effect: Array, cause: Array) -> Relation | None:
-    """Return how the increments (N, 3) of one vector follow those of another one; None if there are too few, or none."""
+    """Return the relation of the increments (N, 3) of two vectors; None for too few windows or a constant axis."""
     count = len(effect)
     sizes = np.std(effect, axis=0), np.std(cause, axis=0)
     if count < FEWEST or not np.all(np.concatenate(sizes) > 0.0):
@@ -117,7 +117,7 @@ def relate(effect: Array, cause: Array) -> Relation | None:
     error = (
         -student_quantile(SURE, count - 2) * np.sqrt((1.0 - share**2) / (count - 2)) / np.maximum(np.abs(share), 1e-12)
     )
-    known = error < 1.0  # else the share itself may be 0
+    known = error < 1.0  # otherwise the correlation may be 0
     widening = np.exp(np.minimum(error, 1.0))
     return Relation(
         order=order,
@@ -129,7 +129,7 @@ def relate(effect: Array, cause: Array) -> Relation | None:
 
 
 def _likeliest(shared: Array, count: int) -> tuple[int, ...]:
-    """Return the order of axes of correlations (3, 3) that is clearly the likeliest; as they are, if none is."""
+    """Return the order of axes that fits correlations (3, 3) clearly best; (0, 1, 2) if none does."""
     plain = (0, 1, 2)
 
     def likelihood(order: tuple[int, ...]) -> float:
@@ -142,7 +142,7 @@ def _likeliest(shared: Array, count: int) -> tuple[int, ...]:
 
 
 def check_units(log: FlightLog) -> list[Finding]:
-    """Raise ``DataError`` if velocity and position differ by a unit, a sign or an order; return a note on lesser factors."""
+    """Raise ``DataError`` if velocity and position differ in unit, sign or axes; return a finding on smaller factors."""
     velocity, place = log.lin_vel, log.position
     if velocity is None or place is None:
         return []
@@ -159,10 +159,10 @@ def check_units(log: FlightLog) -> list[Finding]:
 
 
 def check_growth(log: FlightLog) -> None:
-    """Raise ``DataError`` if velocity and position, which agree, contradict the accelerometer by a sign, or by a unit.
+    """Raise ``DataError`` if velocity and position agree but contradict the accelerometer in sign or unit.
 
-    An attitude that leans on the accelerometer may hide a slow motion, but not on all axes alike: a unit is the same on all
-    that tell, and two at least must.
+    An attitude estimate that relies on the accelerometer may hide slow motion, but not equally on all axes. A wrong unit
+    must show equally on all certain axes, at least two.
     """
     letters = [letter for letter, values in (("v", log.lin_vel), ("p", log.position)) if values is not None]
     by = _by_accelerometer(log, letters[0]) if letters else None
@@ -180,7 +180,7 @@ def check_growth(log: FlightLog) -> None:
 
 
 def _by_accelerometer(log: FlightLog, letter: str) -> Relation | None:
-    """Return how velocity, or that of the position, follows the accelerometer in world axes; None if the log lacks one."""
+    """Return the relation of velocity, or of the position's derivative, to the integrated acceleration; None without data."""
     values = log.lin_vel if letter == "v" else log.position
     if values is None or log.specific_force is None:
         return None
@@ -191,7 +191,7 @@ def _by_accelerometer(log: FlightLog, letter: str) -> Relation | None:
 
 
 def _steps(log: FlightLog, values: Array) -> Array:
-    """Return by how much values (T, 3) change over each window, (N, 3)."""
+    """Return the changes of values (T, 3) over each window, (N, 3)."""
     return np.diff(values[:: max(1, round(WINDOW_S * rate_of(log)))], axis=0)
 
 
@@ -201,7 +201,7 @@ def _sums(log: FlightLog, values: Array) -> Array:
 
 
 def _culprits(found: Relation, log: FlightLog) -> list[str]:
-    """Return the letters of what is not as it claims: velocity, position; both, if the accelerometer does not tell."""
+    """Return the letters of the wrong quantities: v, p, or both if the accelerometer is inconclusive."""
 
     def agrees(letter: str) -> bool:
         other = _by_accelerometer(log, letter)
@@ -217,7 +217,7 @@ def _columns(letters: list[str], axes: Flags) -> str:
 
 
 def _ways_out(found: Relation, letters: list[str]) -> str:
-    """Return what position and velocity look like, and the entries of a mapping file that mend it."""
+    """Return the probable errors of position or velocity with the mapping entries that correct them."""
     said: list[str] = []
     if found.moved.any():
         names = ", ".join("xyz"[axis] for axis in found.order)
@@ -238,7 +238,7 @@ def _pooled(found: Relation) -> float:
 
 
 def _unit(letter: str, found: Relation, factor: float, mends: float) -> str:
-    """Return which unit the columns of a quantity are in that have a factor and are mended by one, and the way out."""
+    """Return the probable unit of a quantity's columns with a wrong factor, with the mapping entry that corrects it."""
     units, name = (VELOCITY_UNITS, "lin_vel") if letter == "v" else (POSITION_UNITS, "position")
     columns = _columns([letter], (found.low < factor * (1.0 + FITS)) & (found.high > factor * (1.0 - FITS)))
     best = min(units, key=lambda unit: abs(np.log(mends / UNITS[unit])))

@@ -1,1 +1,1 @@
-"""Files of flights as arrays: CSV in any layout that a mapping describes, and ULog."""
+"""Readers of flight files: CSV in any mapped layout, and PX4 ULog."""

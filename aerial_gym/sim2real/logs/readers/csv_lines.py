@@ -1,4 +1,4 @@
-"""Lines of CSV files as people have them: separators, quotes, remarks, and lines that are no rows."""
+"""Parse lines of CSV files with varying separators, quotes, comments and malformed lines."""
 
 import csv
 import re
@@ -9,19 +9,19 @@ from pathlib import Path
 from aerial_gym.errors import DataError
 
 SEPARATORS = (";", "\t", ",")
-"""Separators of fields; a header without any of them is separated by spaces."""
+"""Field separators; a header with none of them is separated by spaces."""
 
 SPACES = " "
-"""Separator that stands for any run of white space."""
+"""Separator mark for any run of white space."""
 
 ULOG_MAGIC = b"ULog\x01\x12\x35"
 """First bytes of a PX4 ULog. Source: PX4 User Guide, ULog File Format, section Header."""
 
 ENCODINGS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
-"""Encodings by the mark at the beginning of a file; all others are read as UTF-8."""
+"""Encodings by byte-order mark; other files are UTF-8."""
 
 REMARK = re.compile(r"\s*(#|//|%|sep=|$)", re.IGNORECASE)
-"""Beginning of a line that is a remark, a spreadsheet's hint, or empty."""
+"""Start of a comment, a spreadsheet's separator hint or an empty line."""
 
 DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 """A number with a decimal comma."""
@@ -29,40 +29,40 @@ DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 
 @dataclass(frozen=True, kw_only=True)
 class CsvHeader:
-    """The names of the columns and the separator of a CSV file."""
+    """Column names and separator of a CSV file."""
 
     names: tuple[str, ...]
     separator: str
 
     def row(self, line: str) -> str | None:
-        """Return a line with one comma between fields and decimal points; None if its fields do not fit the header."""
+        """Return the line with commas between fields and decimal points; None if the number of fields differs."""
         commas = len(self.names) - 1
         if '"' in line or self.separator == SPACES:
             line = ",".join(_plain(field) for field in split_fields(line, self.separator))
         elif self.separator != ",":
             line = line.replace(",", ".").replace(self.separator, ",")
         while line.count(",") > commas and line.rstrip().endswith(","):
-            line = line.rstrip()[:-1]  # a separator at the end of the line
+            line = line.rstrip()[:-1]  # trailing separator
         return line if line.count(",") == commas and "\0" not in line else None
 
     def is_remark(self, line: str) -> bool:
-        """Return whether a line is no row: a remark, empty, or the header once more."""
+        """Return whether a line holds no row: a comment, an empty line or a repeated header."""
         if line[:1] in _STARTS:
             return False
         return bool(REMARK.match(line)) or split_fields(line, self.separator)[: len(self.names)] == list(self.names)
 
 
 _STARTS = frozenset("0123456789+-.")
-"""First characters of nearly all rows."""
+"""Common first characters of data rows."""
 
 
 def _plain(field: str) -> str:
-    """Return a field without a comma."""
+    """Return a field with its decimal comma as a point, and any other comma as a space."""
     return field.replace(",", "." if DECIMAL_COMMA.fullmatch(field) else " ")
 
 
 def split_fields(line: str, separator: str) -> list[str]:
-    """Return the fields of a line without quotes and outer spaces; none if a quote is not closed."""
+    """Return the fields of a line without quotes and outer spaces; empty for an unclosed quote."""
     if '"' not in line:
         return [field.strip() for field in (line.split() if separator == SPACES else line.split(separator))]
     try:
@@ -73,11 +73,11 @@ def split_fields(line: str, separator: str) -> list[str]:
 
 
 def find_header(lines: Iterable[str], time: str) -> CsvHeader | None:
-    """Return the header of a CSV file and take its lines up to it; None if there is none.
+    """Return the header of a CSV file, or None; consume the lines up to and including it.
 
     Args:
-        lines: Lines of the file; an iterator stands behind the header afterwards.
-        time: Name of the column of time: a remark that names it is a header, as numpy writes it.
+        lines: Lines of the file; an iterator is left after the header.
+        time: Name of the time column; a comment that contains it is a header, as numpy writes it.
     """
     for line in lines:
         header = _header_in(line.lstrip(" \t#") if REMARK.match(line) else line)
@@ -100,7 +100,7 @@ def lines_of(path: Path) -> list[str]:
     """Return the lines of a text file.
 
     Raises:
-        DataError: If it cannot be read, or is no text.
+        DataError: If the file is unreadable or not text.
     """
     try:
         data = path.read_bytes()
@@ -116,7 +116,7 @@ def lines_of(path: Path) -> list[str]:
 
 
 def check_text(data: bytes, path: str) -> None:
-    """Raise ``DataError`` if the first bytes of a file are not those of a text."""
+    """Raise ``DataError`` if the first bytes of a file are not text."""
     if data.startswith(ULOG_MAGIC):
         raise DataError(
             f"{path}: is a PX4 ULog, not a CSV file; replay and close-loop read it if its name ends in .ulg"

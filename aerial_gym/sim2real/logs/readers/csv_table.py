@@ -1,4 +1,4 @@
-"""Columns of a CSV file as numbers, and what is wrong with a file, told with its line and the way out.
+"""Read the columns of a CSV file as numbers, and report each defect with its line and remedy.
 
 Letters: T rows.
 """
@@ -20,17 +20,17 @@ from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, ColumnsCfg,
 from aerial_gym.sim2real.logs.readers.stamps import MOST_BAD, SHOWN, checked_stamps, seconds_of
 
 FEW_DIGITS = 20
-"""If time stands still in more than one row of so many, it was written with too few digits."""
+"""Time has too few digits if more than one row in so many repeats the time before."""
 
 EMPTY = ("", "nan", "NaN", "NAN", "-nan", "null", "NULL", "None", "NA", "N/A", "-")
-"""Fields that stand for no value."""
+"""Field values that mean 'no value'."""
 
 LARGEST = 1e9
-"""Size in SI units beyond which no measurement of a flight is one."""
+"""Largest plausible measurement in SI units."""
 
 
 def csv_rows(path: Path, layout: LogMapping, notes: list[Finding]) -> tuple[pd.DataFrame, Array, tuple[float, ...]]:
-    """Return the rows of a file with good time stamps, their time [s] (T,), and the corrected times of clock steps [s]."""
+    """Return the rows with valid time stamps, their time [s], (T,), and the corrected times of clock steps [s]."""
     table = without_copies(read_table(path, layout, notes), notes)
     stamps = checked_stamps(stamps_of(table, layout, str(path)), str(path))
     notes.extend(stamps.late_note(table.index[stamps.late].to_numpy(dtype=int).tolist()))
@@ -44,12 +44,12 @@ def csv_rows(path: Path, layout: LogMapping, notes: list[Finding]) -> tuple[pd.D
 
 
 def read_table(path: Path, layout: LogMapping, notes: list[Finding]) -> pd.DataFrame:
-    """Return the columns of a file; the index is the line of each row, empty fields are NaN.
+    """Return the table of a file, indexed by line number, with NaN for empty fields.
 
-    Lines that do not fit the header, and rows with a field that is no number, are left out and noted.
+    Malformed lines and rows with non-numeric fields are dropped with a finding.
 
     Raises:
-        DataError: If the file is no table with the columns of the layout.
+        DataError: If the file has no usable table with the mapped columns.
     """
     lines = lines_of(path)
     source = iter(enumerate(lines, start=1))
@@ -86,9 +86,9 @@ def read_table(path: Path, layout: LogMapping, notes: list[Finding]) -> pd.DataF
 def _numeric(
     table: pd.DataFrame, wanted: Mapping[str, ColumnsCfg], time: str, path: str, notes: list[Finding]
 ) -> pd.DataFrame:
-    """Return the table with numbers in the wanted columns, without the rows that hold something else there.
+    """Return the table with numeric wanted columns, without the rows that hold something else there.
 
-    A time that is no number is a bad stamp: it stays, as NaN.
+    A non-numeric time becomes NaN, a bad stamp, and stays.
     """
     bad, example = np.zeros(len(table), dtype=bool), dict[str, object]()
     for name, quantity in wanted.items():
@@ -108,7 +108,7 @@ def _numeric(
                 "rows; leave the whole column empty if it was not measured"
             )
         far = size > LARGEST
-        wrong |= far & (far.mean() <= MOST_BAD)  # more of them are a wrong unit
+        wrong |= far & (far.mean() <= MOST_BAD)  # a larger share indicates a wrong unit
         if wrong.any() and not bad.any():
             example = {"column": name, "field": str(text[int(np.argmax(wrong))])}
         bad |= wrong
@@ -118,13 +118,13 @@ def _numeric(
 
 
 def _note_rows(code: str, lines: Sequence[int], total: int, notes: list[Finding], **more: object) -> None:
-    """Note how many rows were left out, and the first lines of them."""
+    """Append a finding with the number of dropped rows and the first of their lines."""
     if lines:
         notes.append(Finding(code, "", {"rows": len(lines), "total": total, "lines": list(lines[:SHOWN]), **more}))
 
 
 def _names(quantity: ColumnsCfg, known: Sequence[str]) -> list[str]:
-    """Return the column names of a quantity, with ``{n}`` counted up as far as the file goes."""
+    """Return the column names of a quantity, with ``{n}`` expanded to the numbers in the file."""
     pattern, found = "".join(quantity.columns[:1]), []
     if len(quantity.columns) > 1 or "{n}" not in pattern:
         return list(quantity.columns)
@@ -134,7 +134,7 @@ def _names(quantity: ColumnsCfg, known: Sequence[str]) -> list[str]:
 
 
 def columns_of(table: pd.DataFrame, quantity: ColumnsCfg, name: str, path: str) -> list[str]:
-    """Return the columns of a quantity; none if the file has none of them, or only empty ones."""
+    """Return the columns of a quantity in the file; empty if all of them are missing or empty."""
     names = _names(quantity, list(table.columns))
     present = [column for column in names if column in table.columns and not bool(table[column].isna().all())]
     missing = [column for column in names if column not in present]
@@ -147,7 +147,7 @@ def columns_of(table: pd.DataFrame, quantity: ColumnsCfg, name: str, path: str) 
 
 
 def without_copies(table: pd.DataFrame, notes: list[Finding]) -> pd.DataFrame:
-    """Return the table without rows that equal an earlier one in every column, time included."""
+    """Return the table without rows that repeat an earlier one in every column, time included."""
     copies = np.asarray(table.duplicated())
     if not copies.any():
         return table
@@ -156,7 +156,7 @@ def without_copies(table: pd.DataFrame, notes: list[Finding]) -> pd.DataFrame:
 
 
 def stamps_of(table: pd.DataFrame, layout: LogMapping, path: str) -> Array:
-    """Return the time stamps as logged [s], NaN where a row has none; refuse a missing column and one with too few digits."""
+    """Return the logged time stamps [s], NaN where empty; refuse a missing column or too few digits."""
     column = layout.time.columns[0]
     if column not in table.columns or bool(table[column].isna().all()):
         raise DataError(not_there(column, list(table.columns), path))
@@ -172,7 +172,7 @@ def stamps_of(table: pd.DataFrame, layout: LogMapping, path: str) -> Array:
 
 
 def column_in(table: pd.DataFrame, column: str, path: str) -> Array:
-    """Return a column (T,) that must be there, and without a gap."""
+    """Return a required column (T,) without gaps."""
     if column not in table.columns:
         raise DataError(not_there(column, list(table.columns), path))
     return numbers_in(table, [column], ColumnsCfg(columns=(column,)), np.zeros(len(table)), path, [])[:, 0]
@@ -189,9 +189,9 @@ def numbers_in(
     gaps: bool = False,
     held: bool = False,
 ) -> Array:
-    """Return numbers (T, columns) with short gaps filled where the mapping allows it.
+    """Return numbers (T, columns), with short gaps filled where the mapping allows it.
 
-    ``gaps``: they may stay NaN; ``held``: a number holds until the next one.
+    ``gaps``: keep NaN; ``held``: fill with the value before instead of a straight line.
     """
     found, filled = np.empty((len(table), len(columns))), 0
     for index, column in enumerate(columns):
@@ -210,7 +210,7 @@ def numbers_in(
 
 
 def _fill(numbers: Array, quantity: ColumnsCfg, time: Array, where: Callable[[int], str], *, held: bool) -> Array:
-    """Return ``numbers`` without NaN: short runs become straight lines, or the value before; long ones are refused."""
+    """Return ``numbers`` with short runs of NaN filled linearly or held; refuse long runs."""
     empty = np.isnan(numbers)
     if not empty.any():
         return numbers
@@ -230,14 +230,14 @@ def _fill(numbers: Array, quantity: ColumnsCfg, time: Array, where: Callable[[in
 
 
 def not_there(column: str, known: list[str], path: str) -> str:
-    """Return what is said of a column that a file lacks, with the nearest of those that it has and the way out."""
+    """Return the message on a missing column, with the nearest existing name and the remedy."""
     near = get_close_matches(column, [name for name in known if name != column], n=1)
     hint = f" Did you mean {near[0]!r}?" if near else ""
     return f"{path}: column {column!r} is missing or empty.{hint}{mapping_hint(known)}"
 
 
 def mapping_hint(known: list[str]) -> str:
-    """Return the advice to use a mapping, naming the one that uses most of the columns if there is one."""
+    """Return the advice to use a mapping; it names the built-in one with the most matching columns, if any."""
     fits: dict[str, int] = {}
     own = {column for quantity in find_mapping("aerial_gym").quantities().values() for column in quantity.columns}
     for name in mapping_names():

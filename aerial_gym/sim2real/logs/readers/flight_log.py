@@ -1,4 +1,4 @@
-"""The reader of flight logs: a CSV file, or a ULog of PX4, in the layout that a mapping describes.
+"""Read a flight log, a CSV file or a PX4 ULog, in the layout of a mapping.
 
 World is ENU (z up), body is x forward, y left, z up, quaternions are xyzw, body to world, SI units.
 Letters: T rows, R rotors.
@@ -31,13 +31,13 @@ from aerial_gym.sim2real.logs.readers.ulog import ulog_table
 from aerial_gym.sim2real.logs.recording import FlightLog
 
 COMPANION_GAP_S = 0.1
-"""Longest gap [s] in another vehicle's log across which its position is interpolated."""
+"""Longest gap [s] in the other vehicle's log across which its position is interpolated."""
 
 EULER = (("roll", "pitch", "yaw"), ("phi", "theta", "psi"))
-"""Names of columns that hold angles in place of a quaternion."""
+"""Column names of Euler angles, for the advice on a missing quaternion."""
 
 FLIP = np.array([1.0, -1.0, -1.0])
-"""From body frd to body flu."""
+"""Signs from body FRD to body FLU."""
 
 
 def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hover: bool = False) -> FlightLog:
@@ -46,11 +46,11 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
     Args:
         path: The file.
         mapping: Layout; None takes that of this package, or ``px4_ulog`` for a .ulg file.
-        hover: Whether only the rotors at hover are wanted: a log without attitude is taken as level, and needs neither gyro
-            nor accelerometer.
+        hover: Whether only hover rotor states are needed: a missing attitude counts as level, and neither gyro nor
+            accelerometer is required.
 
     Raises:
-        DataError: If file, columns or fields cannot be used; the message names file, row or column and the way out.
+        DataError: If file, columns or fields are unusable.
     """
     ulog = Path(path).suffix.lower() == ".ulg"
     layout, notes = mapping or find_mapping("px4_ulog" if ulog else "aerial_gym"), list[Finding]()
@@ -112,7 +112,7 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
 
 
 def _volts(values: Array | None, time: Array, notes: list[Finding]) -> Array | None:
-    """Return the battery voltage [V], (T,), with straight lines in place of values that are none; None without any."""
+    """Return the battery voltage [V], (T,), with values of 0 or less interpolated; None without any valid value."""
     if values is None or not (bad := values[:, 0] <= 0.0).any():
         return None if values is None else values[:, 0]
     if bad.all():
@@ -123,7 +123,7 @@ def _volts(values: Array | None, time: Array, notes: list[Finding]) -> Array | N
 
 
 def _height(values: Array, layout: LogMapping, name: str, path: str) -> float:
-    """Return the height of a level surface [m], z up; refuse one that changes in the flight."""
+    """Return the height of a level surface [m], z up; refuse one that varies."""
     if np.ptp(values) > 0.0:
         raise DataError(
             f"{path}: {name} runs from {values.min():g} to {values.max():g} m; a flight has one number for it: cut the log "
@@ -133,7 +133,7 @@ def _height(values: Array, layout: LogMapping, name: str, path: str) -> float:
 
 
 def _converted(raw: Array, table: pd.DataFrame, quantity: ColumnsCfg, path: str) -> Array:
-    """Return ``offset + gain (raw times / over)^power``, 0 where raw is 0, once per rotor, (T, columns)."""
+    """Return ``offset + gain (raw * times / over)^power``, and 0 where raw is 0, repeated per rotor, (T, columns)."""
     if quantity.plain:
         return raw
     values = raw
@@ -154,7 +154,7 @@ def _converted(raw: Array, table: pd.DataFrame, quantity: ColumnsCfg, path: str)
 def _integrate_attitude(
     values: dict[str, Array], time: Array, layout: LogMapping, path: str, notes: list[Finding]
 ) -> None:
-    """Write an attitude that starts level and turns with the gyro; refuse logs in which it would be compared with the world."""
+    """Integrate the gyro from a level attitude; refuse logs with position or velocity, which need a true attitude."""
     if "ang_vel" not in values or "position" in values or "lin_vel" in values:
         raise DataError(f"{path}: has no attitude. {layout.lacks or 'Log it, or map it.'}")
     turns = Rotation.from_rotvec(0.5 * (values["ang_vel"][1:] + values["ang_vel"][:-1]) * np.diff(time)[:, None])
@@ -166,7 +166,7 @@ def _integrate_attitude(
 
 
 def _companion(path: Path, layout: LogMapping, time: Array, notes: list[Finding]) -> Array | None:
-    """Return the position of the vehicle whose file has a name that the layout derives from this one, (T, 3)."""
+    """Return the position of the other vehicle, (T, 3), from the log whose name the mapping derives; else None."""
     for text, other in layout.companion.items():
         partner = path.parent / path.name.replace(text, other)
         if text not in path.name or partner == path or not partner.exists() or layout.position is None:
@@ -182,7 +182,7 @@ def _companion(path: Path, layout: LogMapping, time: Array, notes: list[Finding]
 
 
 def _known_wind(path: Path, layout: LogMapping, notes: list[Finding]) -> tuple[float, float, float] | None:
-    """Return the wind that the layout declares for a file of this name [m/s], world ENU; None if it declares none."""
+    """Return the wind [m/s], world ENU, that the mapping declares for this file name; None without one."""
     found = [text for text in layout.wind if text in path.stem]
     if len(found) > 1:
         raise DataError(f"{path}: the mapping declares the wind of {' and of '.join(found)}; make the texts differ")
@@ -199,7 +199,7 @@ def _known_wind(path: Path, layout: LogMapping, notes: list[Finding]) -> tuple[f
 def _require(
     values: dict[str, Array], layout: LogMapping, known: list[str], path: str, notes: Sequence[Finding], *, hover: bool
 ) -> None:
-    """Raise ``DataError`` unless the log has what every use of it needs."""
+    """Raise ``DataError`` if the log lacks a required quantity."""
     if "attitude" not in values and layout.attitude is not None:
         column = next((name for name in layout.attitude.columns if name not in known), layout.attitude.columns[0])
         if any(set(angles) <= {name.lower() for name in known} for angles in EULER):
@@ -224,7 +224,7 @@ def _require(
 
 
 def _to_package_frames(values: dict[str, Array], layout: LogMapping) -> dict[str, Array]:
-    """Return the quantities in world ENU and body FLU, with the quaternion from body to world."""
+    """Return the quantities in world ENU and body FLU, with quaternions from body to world."""
     result = dict(values)
     if layout.attitude_direction == "world_to_body":
         result["attitude"] = result["attitude"] * (-1.0, -1.0, -1.0, 1.0)

@@ -1,4 +1,4 @@
-"""Lines of a text file while it is written, across restarts: it may be truncated, replaced or rotated."""
+"""Read lines of a growing text file, also when it is truncated, replaced or rotated."""
 
 import os
 import sys
@@ -12,17 +12,17 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.readers.csv_lines import check_text
 
 POLL_S = 0.05
-"""Time between two looks for more [s]."""
+"""Polling interval [s]."""
 
 START_BYTES = 256
-"""So many first bytes tell whether a file was written anew in place: a log begins with its header and first row."""
+"""Number of first bytes compared to detect a file rewritten in place; a log begins with its header and first row."""
 
 
 def stdin_lines() -> Iterator[str]:
-    """Yield the lines of stdin; bytes that are no text are replaced.
+    """Yield the lines of stdin; invalid bytes are replaced.
 
     Raises:
-        DataError: If it is no text.
+        DataError: If the input is not text.
     """
     stream = getattr(sys.stdin, "buffer", None)
     if stream is None:  # a text stream in its place
@@ -35,14 +35,14 @@ def stdin_lines() -> Iterator[str]:
 
 
 def file_lines(path: Path, *, follow: bool) -> Iterator[str | None]:
-    """Yield the whole lines of a file, and None where it begins anew; bytes that are no text are replaced.
+    """Yield the complete lines of a file, and None when it starts anew; invalid bytes are replaced.
 
     Args:
         path: The file.
-        follow: Whether to wait for more lines at its end, for ever.
+        follow: Whether to wait for further lines without end.
 
     Raises:
-        DataError: If it cannot be read, or is no text.
+        DataError: If the file is unreadable or not text.
     """
     file, part, start = _opened(path), b"", b""
     with ExitStack() as files:
@@ -68,7 +68,7 @@ def file_lines(path: Path, *, follow: bool) -> Iterator[str | None]:
 
 
 def _opened(path: Path) -> BinaryIO:
-    """Return a file opened at its beginning, if it is text."""
+    """Return a text file opened for reading at its start."""
     if path.is_dir():
         raise DataError(f"{path}: is a folder. Give a flight log (CSV), or - for rows from stdin")
     try:
@@ -84,7 +84,7 @@ def _opened(path: Path) -> BinaryIO:
 
 
 def _start_of(file: BinaryIO) -> bytes:
-    """Return the first bytes of what was read of a file; nothing of a pipe."""
+    """Return the first bytes of the part already read; empty for a pipe."""
     if not file.seekable():
         return b""
     place = file.tell()
@@ -95,7 +95,7 @@ def _start_of(file: BinaryIO) -> bytes:
 
 
 def _is_replaced(path: Path, file: BinaryIO) -> bool:
-    """Return whether the name stands for another file, or the file is shorter than what was read of it."""
+    """Return whether the path names another file, or the file has become shorter than the part already read."""
     try:
         named = os.stat(path)
     except OSError:  # moved away, and not yet replaced

@@ -1,8 +1,8 @@
-"""Blocks of rows that were written late, such as two buffers of a logger in exchanged order, and blocks with wrong stamps.
+"""Detection of blocks of rows that a logger wrote late, and of blocks with wrong time stamps.
 
-The stamps of a late block are right, and it stands at the wrong place: the clock jumps ahead, comes back to fill the hole that
-it left, and goes on where it was. A block whose stamps repeat other times, and after which the clock has gained as many steps
-as there were rows, has wrong stamps. A clock that was set back does neither: it does not return to its former level.
+The stamps of a late block are right, but it stands at the wrong place: time jumps ahead, returns to fill the gap, and
+continues. A block has wrong stamps if time after it has advanced by the normal number of steps. After a clock that was
+set back, time does neither.
 Letters: T rows.
 """
 
@@ -15,21 +15,21 @@ from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.logs.recording import gap_limit
 
 JOINT_STEPS = 3.5
-"""Steps between two rows that can follow each other: two stamps may be missing."""
+"""Largest step between consecutive rows, in usual steps; two stamps may be missing."""
 
 MOST_RUNS = 50
-"""Runs before or after a step back among which the clock is looked for; bounds the time of logs that are all out of order."""
+"""Largest number of runs searched around a step back; it bounds the run time of disordered logs."""
 
 SPLIT_STEPS = 2.0
-"""Steps ahead from which a block may be missing between two rows; jitter alone stays below."""
+"""Step, in usual steps, from which a block may be missing; jitter stays below."""
 
 MIN_ROWS = 2
-"""Of a block. A single row out of order has a bad stamp, or it is a late one: that cannot be told."""
+"""Fewest rows of a block: a single disordered row may be late or have a bad stamp."""
 
 
 @dataclass(frozen=True)
 class _Run:
-    """Rows that follow each other, and the rows without a usable stamp after them."""
+    """Consecutive rows with increasing stamps, and the rows without a usable stamp after them."""
 
     first: float
     last: float
@@ -40,24 +40,24 @@ class _Run:
 
 @dataclass(frozen=True, kw_only=True)
 class Blocks:
-    """What is out of order in the rows of a log."""
+    """Disordered rows of a log."""
 
     order: Indices
-    """Rows in the order in which they were measured, (T,)."""
+    """Rows in the order of measurement, (T,)."""
 
     late: Indices
-    """The first row of each block that is moved ahead."""
+    """First row of each block that was written late."""
 
     wrong: Indices
-    """Rows of blocks with wrong stamps."""
+    """Rows in blocks with wrong stamps."""
 
 
 def find_blocks(stamps: Array, periods: tuple[float, ...] = ()) -> Blocks:
-    """Return what blocks of a log are out of order.
+    """Return the late blocks and the blocks with wrong stamps.
 
     Args:
-        stamps: As logged [s], NaN where a row has none, (T,).
-        periods: Of counters [s]: a step back by one of them is a wrap, and no late block.
+        stamps: Logged time [s], NaN where empty, (T,).
+        periods: Wrap periods of counters [s]; a step back by one of them is no late block.
     """
     order, late, wrong = np.arange(stamps.size), list[int](), [np.zeros(0, dtype=int)]
     finite = np.flatnonzero(np.isfinite(stamps))
@@ -89,7 +89,7 @@ def find_blocks(stamps: Array, periods: tuple[float, ...] = ()) -> Blocks:
 
 
 def _runs(stamps: Array, finite: Indices, step: float) -> list[_Run]:
-    """Return the runs of at least ``MIN_ROWS`` rows, in the order of the log; rows before the first of them belong to none."""
+    """Return the runs of at least ``MIN_ROWS`` rows in log order; earlier rows belong to no run."""
     time = stamps[finite]
     joined = (np.diff(time) > 0.0) & (np.diff(time) <= SPLIT_STEPS * step * np.diff(finite))
     edges = np.flatnonzero(np.diff(np.concatenate(([0], joined.astype(int), [0]))))
@@ -98,7 +98,7 @@ def _runs(stamps: Array, finite: Indices, step: float) -> list[_Run]:
         previous = found[-1] if found else None
         gap = finite[first] - finite[previous[1]] if previous else 0
         if previous and 0.0 < time[first] - time[previous[1]] <= SPLIT_STEPS * step * gap:
-            found[-1] = (previous[0], last)  # only bad stamps are between them
+            found[-1] = (previous[0], last)  # only bad stamps between them
         else:
             found.append((first, last))
     starts = [int(finite[first]) for first, _ in found]
@@ -110,10 +110,10 @@ def _runs(stamps: Array, finite: Indices, step: float) -> list[_Run]:
 
 
 def _exchanged(runs: list[_Run], number: int, joint: float) -> tuple[int, int] | None:
-    """Return first run, and that after the last, of a group that its stamps put in order; None where that is not sure.
+    """Return the slice of runs that sorting by stamps puts in order; None if uncertain.
 
-    The step back is before run ``number``. Sorted, the runs of the group must not overlap. The clock must then go on from the
-    group to the run after it, and from a run before it in the hole. At an end of the log every joint of the group must fit.
+    The step back is before run ``number``. Sorted, the runs must not overlap, and time must continue to the run after
+    them. At an end of the log, all gaps between the runs must also be short.
     """
     start, stop = number - 1, number + 1
     low, high = runs[number].first, max(runs[start].last, runs[number].last)
@@ -135,9 +135,9 @@ def _exchanged(runs: list[_Run], number: int, joint: float) -> tuple[int, int] |
 
 
 def _displaced(runs: list[_Run], number: int, step: float) -> tuple[int, int] | None:
-    """Return first run, and that after the last, with wrong stamps: around them the clock gains a step with each row.
+    """Return the slice of runs with wrong stamps: without them time advances one usual step per row.
 
-    They are before the step back at run ``number``, or after it; if both fit, the fewer rows are wrong.
+    Candidates lie before the step back at run ``number`` or after it; the one with fewer rows is taken.
     """
 
     def off(before: int, after: int) -> bool:

@@ -1,4 +1,4 @@
-"""Time stamps of rows that come one by one: bad ones are left out, and a clock that was set back is corrected."""
+"""Check time stamps of live rows: drop bad ones, and correct a clock that was set back."""
 
 from statistics import median
 
@@ -7,39 +7,39 @@ from aerial_gym.sim2real.logs.readers.late_blocks import SPLIT_STEPS
 from aerial_gym.sim2real.logs.recording import LONGEST_GAP_S, gap_limit
 
 LATE_START_S = 2.0
-"""A late block may come so long before the first row that was passed [s]."""
+"""Time before the first accepted row in which a late block may lie [s]."""
 
 HOLES = 8
-"""Gaps of the clock that are remembered, the last ones."""
+"""Number of recent time gaps that are remembered."""
 
 CONFIRMED = 10
-"""So many rows that go on from each other show that the first rows, a gap, or a step of the clock are real."""
+"""Number of consecutive rows that confirm a start, a gap or a step of the clock."""
 
 
 class LiveStamps:
-    """Passes on the rows whose time goes on; holds the others until the rows after them tell which clock is right.
+    """Filter of live rows: accept rows whose time continues, and hold others until later rows decide.
 
-    A block that was written late has stamps in a gap that was passed. It is held until the clock returns, and then left out.
+    A late block has stamps in an earlier gap. It is held until the clock returns, and is then dropped.
     """
 
     def __init__(self) -> None:
-        """Begin without a row."""
+        """Start without any row."""
         self._steps: list[float] = []
         self._last: float | None = None
         self._shift = 0.0
         self._doubtful: list[Array] = []
         self._holes: list[tuple[float, float]] = []
         self.bad: list[float] = []
-        """Bad stamps so far [s]."""
+        """Rejected stamps so far [s]."""
         self.steps = 0
-        """Times that the clock was set back so far."""
+        """Number of corrected backward steps of the clock."""
 
     def add(self, row: Array, place: int) -> list[Array]:
-        """Return the rows that are known to be good after one more, with corrected time.
+        """Return the rows that this row confirms as valid, with corrected time.
 
         Args:
             row: Its values.
-            place: Index of its time stamp [s] among them.
+            place: Index of the time stamp [s] in the row.
         """
         stamp = float(row[place])
         if self._last is not None and 0.0 < stamp - self._last <= self._limit:
@@ -61,24 +61,24 @@ class LiveStamps:
         return [self._passed(one, place) for one in good]
 
     def end(self, place: int) -> None:
-        """Leave out the rows that nothing confirms."""
+        """Reject the held rows."""
         self.bad += [float(row[place]) for row in self._doubtful]
         self._doubtful = []
 
     def _may_be_late(self, place: int) -> bool:
-        """Return whether all doubtful rows are in a gap that was passed."""
+        """Return whether all held rows lie in one earlier time gap."""
         first, last = float(self._doubtful[0][place]), float(self._doubtful[-1][place])
         return any(start < first and last < stop for start, stop in self._holes)
 
     @property
     def _limit(self) -> float:
-        """Return the longest gap that needs no confirmation [s]."""
+        """Return the longest time step that needs no confirmation [s]."""
         return gap_limit(median(self._steps)) if self._steps else LONGEST_GAP_S
 
     def _passed(self, row: Array, place: int) -> Array:
-        """Return a good row with corrected time, and remember its stamp."""
+        """Return a valid row with corrected time, and store its stamp."""
         stamp = float(row[place])
-        if self._last is None:  # the first rows may come before a late block
+        if self._last is None:  # the first rows may follow a gap for a late block
             self._holes = [(stamp - LATE_START_S, stamp)]
         elif self._steps and stamp - self._last > SPLIT_STEPS * median(self._steps):
             self._holes = [*self._holes[1 - HOLES :], (self._last, stamp)]

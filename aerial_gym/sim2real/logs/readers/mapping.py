@@ -1,6 +1,6 @@
-"""How the columns of a foreign log become a flight log: names, units, frames and the order of the quaternion.
+"""Mappings from the columns of a log to a flight log: names, units, frames and quaternion order.
 
-A mapping is a YAML file. The layout of this package is one itself, ``mappings/aerial_gym.yaml``.
+A mapping is a YAML file; the package's own layout is ``mappings/aerial_gym.yaml``.
 """
 
 from collections.abc import Mapping
@@ -12,10 +12,10 @@ from aerial_gym.config import load
 from aerial_gym.errors import ConfigError, UnknownNameError
 
 MAPPING_DIR = Path(__file__).parents[1] / "mappings"
-"""Folder of the mappings that come with the package."""
+"""Folder of the built-in mappings."""
 
 UNIT_G = 9.80665
-"""The unit g [m/s²], exact whatever gravity a place has: BIPM (2019), The SI, table 8."""
+"""Standard gravity as a unit [m/s²], independent of the place: BIPM (2019), The SI, table 8."""
 
 UNITS: dict[str, float] = {
     "si": 1.0,
@@ -36,7 +36,7 @@ UNITS: dict[str, float] = {
     "rpm": 0.10471975511965977,
     "rev/s": 6.283185307179586,
 }
-"""What a value in that unit is multiplied by to be SI. Foot and mile are international: NIST SP 811 (2008), B.8."""
+"""Factors to SI units. Foot and mile are international: NIST SP 811 (2008), B.8."""
 
 BODY_FRAMES = ("flu", "frd")
 WORLD_FRAMES = ("enu", "ned")
@@ -48,31 +48,31 @@ class ColumnsCfg:
     """Columns of one quantity."""
 
     columns: tuple[str, ...]
-    """Names in the order x, y, z (and w); one name with ``{n}`` stands for 1, 2, 3, ... as far as the file has them."""
+    """Names in the order x, y, z (and w); one name with ``{n}`` expands to all numbers 1, 2, 3, ... in the file."""
 
     unit: str = "si"
-    """Unit in the file, one of UNITS."""
+    """Unit in the file, a key of UNITS."""
 
     fill_gap_s: float = 0.0
-    """Longest run of empty fields [s] that is filled by straight lines (commands: held); 0 refuses the first empty field."""
+    """Longest run of empty fields [s] that is interpolated (commands: held); 0 refuses any empty field."""
 
     times: str | None = None
-    """Column that every value is multiplied by, such as the battery voltage of a duty cycle."""
+    """Column that multiplies every value, such as the battery voltage of a duty cycle."""
 
     over: str | None = None
-    """Column that every value is divided by, such as the setpoint at hover."""
+    """Column that divides every value, such as the setpoint at hover."""
 
     power: float = 1.0
-    """Power that the product is raised to: 0.5 makes a speed of a thrust."""
+    """Exponent of the product: 0.5 converts a thrust to a speed."""
 
     gain: float = 1.0
-    """Factor on the result."""
+    """Factor of the result."""
 
     offset: float = 0.0
-    """Added to the result, but a raw value of 0 stays 0: a motor that is off does not turn."""
+    """Added to the result; a raw value of 0 stays 0, because a motor that is off does not turn."""
 
     repeat: int = 1
-    """Times that a single column stands for: 4 for a collective command of four rotors. Torques are then not compared."""
+    """Copies of a single column: 4 for a collective command of four rotors. Torques are then not compared."""
 
     def __post_init__(self) -> None:
         if not self.columns:
@@ -91,24 +91,24 @@ class ColumnsCfg:
 
     @property
     def plain(self) -> bool:
-        """Whether values are in the file as they are, up to their unit."""
+        """Whether the columns need no conversion except their unit."""
         untouched = self.times is None and self.over is None
         return untouched and (self.power, self.gain, self.offset, self.repeat) == (1.0, 1.0, 0.0, 1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LogMapping:
-    """Layout of a log. A quantity that is not mapped is one that the log does not have."""
+    """Layout of a log; unmapped quantities count as not measured."""
 
     summary: str
-    """One line for people."""
+    """One-line description."""
 
     time: ColumnsCfg
     """Time [s]."""
 
     attitude: ColumnsCfg | None = None
-    """Unit quaternion; name its columns in the order x, y, z, w, however the file orders them. Without it, and without
-    position and velocity, it is integrated from the angular velocity: enough for what is compared in body axes."""
+    """Unit quaternion; name its columns in the order x, y, z, w, whatever their order in the file. Without attitude,
+    position and velocity it is integrated from the angular velocity, which suffices for body-axis channels."""
 
     position: ColumnsCfg | None = None
     """Body origin [m], world."""
@@ -132,34 +132,34 @@ class LogMapping:
     """Battery voltage [V]."""
 
     ground_height: ColumnsCfg | None = None
-    """Level of the ground [m], world, the same in every row; 0 if it is not mapped or not in the file."""
+    """Height of the ground [m], world, constant; 0 if unmapped or missing."""
 
     ceiling_height: ColumnsCfg | None = None
-    """Level of the ceiling [m], world, the same in every row."""
+    """Height of the ceiling [m], world, constant."""
 
     other_position: ColumnsCfg | None = None
-    """Position of another vehicle that flies near [m], world."""
+    """Position of another vehicle nearby [m], world."""
 
     companion: Mapping[str, str] = field(default_factory=dict)
-    """Text in the name of a file, and what stands in its place in that of another vehicle flown at the same time on the same
-    clock: its position becomes ``other_position``."""
+    """Replacements in the file name that give the log of another vehicle, flown together on the same clock. Its position
+    becomes ``other_position``."""
 
     wind: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
-    """Text in the name of a file, and the steady wind [m/s], world, that was known in that flight, as in a wind tunnel."""
+    """Known steady wind [m/s], world, such as that of a wind tunnel, by a text in the file name."""
 
     lift_off_m: float = 0.0
-    """Where the log shows that the vehicle stood (at rest, its rotors giving less than half its weight), it also stands in all
-    rows within this of that height [m]: they are not compared, for the ground pushes as well. 0: heights tell nothing."""
+    """Largest distance [m] from a height at which the vehicle stood (at rest, less than half its weight as thrust). Rows
+    within it count as on the ground and are not compared. 0: heights are ignored."""
 
     hover_above_m: float | None = None
-    """Where given, the commanded speeds of each flight are scaled so that the declared thrust is the measured one on average in
-    rows higher than this [m], world: for commands whose thrust differs from vehicle to vehicle and with the battery."""
+    """Height [m], world, above which commanded speeds are scaled so that declared and measured mean thrust agree. For
+    commands whose thrust varies with vehicle and battery."""
 
     torques: bool = True
-    """Whether these logs show what torques do; false where gyro or commands were logged too slowly: forces alone count."""
+    """Whether the logs resolve torques; false if gyro or commands were logged too slowly, so only forces count."""
 
     lacks: str = ""
-    """What these logs do not have and what follows, one sentence: it stands in the notes and in the message of a refusal."""
+    """One sentence on missing quantities and the consequence, shown in findings and refusals."""
 
     body_frame: str = "flu"
     """Axes of body quantities in the file: flu (x forward, y left, z up) or frd."""
@@ -168,10 +168,10 @@ class LogMapping:
     """Axes of world quantities in the file: enu (z up) or ned (z down)."""
 
     attitude_direction: str = "body_to_world"
-    """What the quaternion turns into what."""
+    """Direction of the rotation by the quaternion: body_to_world or world_to_body."""
 
     source: str
-    """Where this layout is described."""
+    """Reference that describes the layout."""
 
     def __post_init__(self) -> None:
         for name, known in (
@@ -212,16 +212,16 @@ VECTORS = ("position", "lin_vel", "ang_vel", "specific_force", "other_position")
 
 
 def mapping_names() -> tuple[str, ...]:
-    """Return the names of the mappings that come with the package."""
+    """Return the names of the built-in mappings."""
     return tuple(sorted(path.stem for path in MAPPING_DIR.glob("*.yaml")))
 
 
 def find_mapping(name: str | Path) -> LogMapping:
-    """Return the mapping of that name, or the one in a file if ``name`` ends in ``.yaml``.
+    """Return a built-in mapping by name, or the one in a file that ends in ``.yaml``.
 
     Raises:
-        UnknownNameError: If there is no such name.
-        ConfigError: If the file cannot be read or says something impossible.
+        UnknownNameError: If the name is unknown.
+        ConfigError: If the file is unreadable or invalid.
     """
     if str(name).endswith((".yaml", ".yml")):
         return load(LogMapping, name)

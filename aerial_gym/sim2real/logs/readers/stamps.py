@@ -1,7 +1,7 @@
-"""Time stamps of a log: late blocks are put in order, rows with a bad stamp left out, and a clock that was set back corrected.
+"""Correct the time stamps of a log: sort late blocks, drop bad stamps, and undo backward steps of the clock.
 
-The lateness of row n is ``t - n dt`` with the usual step dt. After a bad stamp it returns to its former level. After a clock
-was set back, or its counter wrapped, it stays at a lower level. Letters: T rows, K rows that are kept.
+The lateness of row n is ``t - n dt`` with the usual step dt. After a bad stamp it returns to its level. After a clock
+was set back or a counter wrapped, it stays lower. Letters: T rows, K kept rows.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from aerial_gym.sim2real.logs.readers.late_blocks import JOINT_STEPS, find_block
 from aerial_gym.sim2real.logs.recording import gap_limit
 
 MOST_BAD = 0.25
-"""With a larger share of bad stamps, the median of a window no longer tells the right time."""
+"""Largest share of bad stamps; beyond it a moving median no longer follows the true time."""
 
 COUNTERS_S = {
     "32 bits of 1 ns": 2**32 * 1e-9,
@@ -32,27 +32,27 @@ COUNTERS_S = {
     "the GPS week": 604800.0,
     "32 bits of 1 ms": 2**32 * 1e-3,
 }
-"""Periods [s] after which common clocks begin again at 0; time must then go on by no more than a gap that can be bridged."""
+"""Periods [s] of common counters; after a wrap time must continue within a gap that can be bridged."""
 
 NEAR_ROWS = 5
-"""Rows around a stamp that tell whether it is out of order by little."""
+"""Rows on each side that are compared to find slightly disordered stamps."""
 
 PERMANENT = 0.375
-"""A clock that was set back by m steps puts 2 m rows out of order and the lateness down by m: half a step for each of them."""
+"""Least drop of lateness per disordered row, in steps, of a clock that was set back: m steps disorder 2 m rows."""
 
 FURTHEST = 0.7
-"""Of two neighbours with exchanged stamps both are off by one step, give or take the jitter: both are bad."""
+"""Stamps off by at least this share of the worst in their group are bad: two exchanged stamps are off equally."""
 
 SHOWN = 3
-"""Places that a note lists."""
+"""Number of places listed in a finding."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClockStep:
-    """A step back of the clock, and its correction."""
+    """A backward step of the clock and its correction."""
 
     row: int
-    """First row after the step, among the rows that are kept."""
+    """First kept row after the step."""
 
     before: float
     """Last stamp before the step [s]."""
@@ -61,16 +61,16 @@ class ClockStep:
     """First stamp after the step [s]."""
 
     shift: float
-    """Added to all later stamps [s]."""
+    """Time added to all later stamps [s]."""
 
     counter: str
-    """Counter that wrapped, a key of ``COUNTERS_S``; empty if the clock was set back by another amount."""
+    """Key in ``COUNTERS_S`` of the counter that wrapped; empty if the clock was set back otherwise."""
 
     may_be_restart: bool = False
-    """Whether the clock may have restarted: with a wrap, more than ``JOINT_STEPS`` passed between the two rows."""
+    """Whether a restart is possible: a wrap with more than ``JOINT_STEPS`` steps between the two rows."""
 
     def finding(self, unit: str, number: int, topic: str = "") -> Finding:
-        """Return the note on this step at a line or sample of some number."""
+        """Return the finding on this step at a line or sample number."""
         values = {"before_s": self.before, "after_s": self.after, "shift_s": self.shift, unit: number}
         values |= {"topic": topic} if topic else {}
         if self.counter:
@@ -81,25 +81,25 @@ class ClockStep:
 
 @dataclass(frozen=True, kw_only=True)
 class CheckedStamps:
-    """The time of the rows of a log, after bad stamps were found and steps back of the clock corrected."""
+    """Corrected time of a log without its bad stamps."""
 
     time: Array
     """Increasing [s], (K,)."""
 
     order: Indices
-    """Rows of the log in the order in which they were measured, (T,)."""
+    """Rows of the log in the order of measurement, (T,)."""
 
     late: Indices
-    """First rows, in the log, of the blocks that were written late."""
+    """First log row of each block that was written late."""
 
     kept: Flags
-    """Rows with a good stamp, in that order, (T,)."""
+    """Rows with a valid stamp, in that order, (T,)."""
 
     steps: tuple[ClockStep, ...]
-    """Steps back of the clock, in order."""
+    """Backward steps of the clock in order."""
 
     def late_note(self, places: Sequence[int], topic: str = "") -> list[Finding]:
-        """Return the note on late blocks, which begin at some lines or samples; none without any."""
+        """Return the finding on late blocks at these lines or samples; empty without any."""
         if not places:
             return []
         values = {"blocks": len(places), "places": list(places[:SHOWN]), "topic": topic}
@@ -107,21 +107,21 @@ class CheckedStamps:
 
 
 def seconds_of(stamps: ArrayLike, unit: float) -> Array:
-    """Return stamps in seconds, (T,); unsigned integers beyond half their range are negative numbers that wrapped."""
+    """Return the stamps in seconds, (T,); unsigned integers beyond half their range are wrapped negative numbers."""
     found = np.asarray(stamps)
     signed = found.view(np.int64) if found.dtype == np.uint64 else found
     return signed.astype(np.float64) * unit
 
 
 def checked_stamps(stamps: Array, path: str) -> CheckedStamps:
-    """Return the time of the rows with a good stamp.
+    """Return the corrected time of the rows with a valid stamp.
 
     Args:
-        stamps: As logged [s], NaN where a row has none, in the order of the log, (T,).
-        path: Name of the log, or of its topic, for messages.
+        stamps: Logged time [s], NaN where empty, in log order, (T,).
+        path: Name of the log or topic for messages.
 
     Raises:
-        DataError: If most stamps do not increase, or more than ``MOST_BAD`` of them are bad.
+        DataError: If most stamps do not increase, or more than ``MOST_BAD`` are bad.
     """
     blocks = find_blocks(stamps, tuple(COUNTERS_S.values()))
     kept = np.isfinite(stamps)
@@ -150,7 +150,7 @@ def checked_stamps(stamps: Array, path: str) -> CheckedStamps:
 
 
 def _is_far(stamps: Array, rows: Indices, step: float) -> Flags:
-    """Return the stamps (K,) that are off by more than a gap that can be bridged, and out of order or at an end.
+    """Return the stamps (K,) that are off by more than a bridgeable gap, and disordered or at an end.
 
     Hampel's filter on the lateness. Source: Davies, Gather (1993), The identification of multiple outliers, JASA 88, section 6.
     """
@@ -164,15 +164,15 @@ def _is_far(stamps: Array, rows: Indices, step: float) -> Flags:
     good = np.flatnonzero(~far)
     if not good.size:
         return far
-    after = np.searchsorted(good, place)  # a bad stamp beside a step of the clock moves the median over the step
+    after = np.searchsorted(good, place)  # beside a clock step, the median may belong to the other side
     around = good[np.stack((np.maximum(after - 1, 0), np.minimum(after, good.size - 1)))]
     return far & (np.abs(late - late[around]) > limit).all(axis=0)
 
 
 def _is_near(stamps: Array, rows: Indices, step: float) -> Flags:
-    """Return the stamps (K,) that are out of order by little: of those that break it together, the ones furthest off.
+    """Return the slightly disordered stamps (K,); of each disordered group those furthest off.
 
-    Where the lateness is lower after them than before, the clock was set back, and none of them is bad.
+    If the lateness is lower after the group than before, the clock was set back and none of them is bad.
     """
     found, late = np.zeros(rows.size, dtype=bool), stamps - step * rows
     off = np.abs(late - ndimage.median_filter(late, size=2 * NEAR_ROWS + 1, mode="mirror"))
@@ -185,14 +185,14 @@ def _is_near(stamps: Array, rows: Indices, step: float) -> Flags:
 
 
 def _out_of_order(stamps: Array, width: int) -> Flags:
-    """Return the flags (K,) of stamps no later than one of so many before, or no earlier than one of so many after."""
+    """Return the stamps (K,) not above all ``width`` stamps before, or not below all ``width`` after."""
     padded = np.concatenate((np.full(width, -np.inf), stamps, np.full(width, np.inf)))
     windows = np.lib.stride_tricks.sliding_window_view(padded, width)
     return (windows[: stamps.size].max(axis=1) >= stamps) | (windows[width + 1 :].min(axis=1) <= stamps)
 
 
 def _with_one_clock(stamps: Array, kept: Flags, step: float) -> tuple[Array, list[ClockStep]]:
-    """Return the kept stamps without the steps back of the clock, and these: the row after one comes a usual step later."""
+    """Return the kept stamps without backward clock steps, and the steps; time continues by a usual step."""
     rows = np.flatnonzero(kept)
     time, found = stamps[rows], list[ClockStep]()
     for row in (np.flatnonzero(np.diff(time) <= 0.0) + 1).tolist():

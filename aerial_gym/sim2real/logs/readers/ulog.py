@@ -1,4 +1,4 @@
-"""PX4 ULog files as one table: every topic on the clock of the slowest one that is needed, gaps left as gaps.
+"""Read PX4 ULog files as one table on the clock of the slowest required topic, with gaps preserved.
 
 Columns keep PX4's frames (world north-east-down, body forward-right-down, quaternion w first, body to world); the mapping
 ``px4_ulog`` turns them. Letters: T rows.
@@ -34,59 +34,59 @@ TOPICS: dict[str, dict[str, str]] = {
     "actuator_outputs": {f"output[{i}]": f"output_{i + 1}" for i in range(16)},
     "battery_status": {"voltage_v": "voltage"},
 }
-"""Columns of the table by field, by topic."""
+"""Column names by topic and field."""
 
 GYRO = {f"gyro_rad[{i}]": f"omega_{axis}" for i, axis in enumerate("xyz")}
-"""Fields of sensor_combined that stand in where there is no vehicle_angular_velocity."""
+"""Fields of sensor_combined that replace a missing vehicle_angular_velocity."""
 
 CLOCKS = ("vehicle_attitude", "vehicle_angular_velocity", "sensor_combined", "esc_status", "actuator_motors")
-"""Topics whose samples must lie near a row; the slowest of them is the clock."""
+"""Topics that every row needs; the slowest of them is the clock."""
 
 REACH = 2.5
-"""A row needs samples of a topic on both sides, not further apart than this many of the topic's usual steps."""
+"""Largest distance of the two samples around a row, in usual steps of the topic."""
 
 LONGEST_LATENCY_US = 1_000_000
-"""A sample is stamped at most so long before it is published [us]; else its stamp is not on the clock of the log."""
+"""Largest delay from sampling to publication [us]; with more, the sample stamp is on another clock."""
 
 WRAP_S = 2**32 * 1e-6
-"""A driver with a counter of 32 bits of microseconds is late by a multiple of this [s]."""
+"""Wrap period of a 32-bit counter of microseconds [s]."""
 
 MOST_UNCOVERED = 0.01
-"""A larger share of rows without samples of a topic is noted."""
+"""A larger share of rows without samples of a topic is reported."""
 
 SLOWEST_CLOCK_HZ = 20.0
-"""A topic slower than this is no clock; it is left out, and the note says so, unless it is the attitude."""
+"""Lowest rate of a clock topic; slower ones except the attitude are dropped."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Series:
-    """The usable samples of a topic."""
+    """Usable samples of a topic."""
 
     time: Array
     """Increasing [s], (T,)."""
 
     columns: dict[str, Array]
-    """Each (T,)."""
+    """Values by column, each (T,)."""
 
     steps: tuple[ClockStep, ...]
-    """Steps back of the clock, taken out of ``time``."""
+    """Backward clock steps, corrected in ``time``."""
 
     @property
     def set_back(self) -> tuple[ClockStep, ...]:
-        """Return the steps that no counter explains: all topics have them in common."""
+        """Return the steps without a wrapped counter, which all topics share."""
         return tuple(step for step in self.steps if not step.counter)
 
     @property
     def step(self) -> float:
-        """Return the usual time between two samples [s]."""
+        """Return the median time between samples [s]."""
         return float(np.median(np.diff(self.time)))
 
 
 def ulog_table(path: Path, notes: list[Finding]) -> tuple[pd.DataFrame, tuple[float, ...]]:
-    """Return the table of a ULog file, read by pyulog, and the corrected times of steps of its clock [s].
+    """Return the table of a ULog file and the corrected times of its clock steps [s].
 
     Raises:
-        DataError: If the file is no ULog, or has no attitude.
+        DataError: If the file is not a ULog or has no attitude.
         MissingDependencyError: If pyulog is not installed.
     """
     try:
@@ -98,7 +98,7 @@ def ulog_table(path: Path, notes: list[Finding]) -> tuple[pd.DataFrame, tuple[fl
     try:
         with redirect_stdout(StringIO()):  # pyulog prints what it skips
             log = ULog(str(path), list(TOPICS))
-    except Exception as error:  # pyulog raises whatever its parser meets
+    except Exception as error:  # pyulog raises many types
         raise DataError(f"{path}: cannot be read as a PX4 ULog ({error!r})") from None
     if log.file_corruption:
         notes.append(Finding("file_damaged"))
@@ -106,13 +106,13 @@ def ulog_table(path: Path, notes: list[Finding]) -> tuple[pd.DataFrame, tuple[fl
 
 
 def topics_table(topics: Topics, path: str, notes: list[Finding]) -> tuple[pd.DataFrame, tuple[float, ...]]:
-    """Return the table of topics, each a mapping of its fields to arrays, and the corrected times of clock steps [s].
+    """Return the table of topics (arrays by field), and the corrected times of clock steps [s].
 
-    Faster topics are averaged over a step of the slowest one, slower ones joined by straight lines, commands held. Rows without
-    samples nearby are left out, so that a gap stays a gap. A topic without usable time stamps is left out and noted.
+    Faster topics are averaged over a step of the clock, slower ones interpolated, commands held. Rows without nearby
+    samples are dropped, so gaps remain. A topic without usable stamps is dropped with a finding.
 
     Raises:
-        DataError: If there is no attitude, or its time stamps cannot be used.
+        DataError: If the attitude or its time stamps are missing or unusable.
     """
     if "vehicle_attitude" not in topics:
         raise DataError(f"{path}: has no topic vehicle_attitude; log it (SDLOG_PROFILE) and fly again")
@@ -133,7 +133,7 @@ def topics_table(topics: Topics, path: str, notes: list[Finding]) -> tuple[pd.Da
     near = np.ones(rows.size, dtype=bool)
     for name, one in series.items():
         if name in CLOCKS and name not in clocks:
-            continue  # too slow to say anything about the rotors
+            continue  # too slow for a comparison
         held = name.startswith("actuator")
         for label, column in one.columns.items():
             columns[label] = (
@@ -151,10 +151,10 @@ def topics_table(topics: Topics, path: str, notes: list[Finding]) -> tuple[pd.Da
 
 
 def _series(topics: Topics, name: str, notes: list[Finding]) -> Series:
-    """Return the usable samples of a topic; without columns if it holds none.
+    """Return the usable samples of a topic; no columns if it holds none.
 
     Raises:
-        DataError: If its time stamps cannot be used.
+        DataError: If its time stamps are unusable.
     """
     topic, wanted = topics[name], dict(TOPICS[name])
     if name == "sensor_combined" and "vehicle_angular_velocity" not in topics:
@@ -185,7 +185,7 @@ def _series(topics: Topics, name: str, notes: list[Finding]) -> Series:
 
 
 def _checked_time(topic: Mapping[str, Array], name: str) -> CheckedStamps:
-    """Return the time of a topic: when it was sampled, or when it was published if the former is not on the clock."""
+    """Return the sampling time of a topic, or its publication time if the former is on another clock or unusable."""
     published, sampled = (topic.get(name) for name in ("timestamp", "timestamp_sample"))
     stamps = [stamp for stamp in (sampled, published) if stamp is not None]
     if sampled is not None and published is not None:
@@ -201,10 +201,10 @@ def _checked_time(topic: Mapping[str, Array], name: str) -> CheckedStamps:
 
 
 def _on_clock_of(reference: Series, one: Series, name: str) -> Series:
-    """Return a topic on the clock of another one, for drivers whose counter wraps after ``WRAP_S``.
+    """Return a topic moved by multiples of ``WRAP_S`` onto the reference clock.
 
     Raises:
-        DataError: If they have no time in common, or steps of the clock of one are not in the other.
+        DataError: If the times do not overlap, or the number of backward clock steps differs.
     """
     if not one.columns:
         return one
@@ -223,7 +223,7 @@ def _on_clock_of(reference: Series, one: Series, name: str) -> Series:
 
 
 def _with_common_steps(series: dict[str, Series]) -> dict[str, Series]:
-    """Return topics whose clock was corrected by the same amounts: each by the least, which the fastest topic tells best."""
+    """Return the topics with equal clock corrections: the least of each step, which the fastest topic resolves best."""
     shifts = np.array([[step.shift for step in one.set_back] for one in series.values()])
     least = shifts.min(axis=0)
     found = dict[str, Series]()
@@ -236,7 +236,7 @@ def _with_common_steps(series: dict[str, Series]) -> dict[str, Series]:
 
 
 def _on_clock(rows: Array, time: Array, values: Array, step: float, *, held: bool) -> Array:
-    """Return values (T,) at the rows: the last one where held, the mean over a step where there are several, else a line."""
+    """Return values (T,) at the rows: held, averaged over a step with several samples, else interpolated."""
     if held:
         return values[np.clip(np.searchsorted(time, rows, side="right") - 1, 0, None)]
     first, last = (np.searchsorted(time, rows + side * 0.5 * step) for side in (-1.0, 1.0))
@@ -245,14 +245,14 @@ def _on_clock(rows: Array, time: Array, values: Array, step: float, *, held: boo
     count = np.maximum(last - first, 1)
     line = np.interp(rows, time, values)
     mean = (total[last] - total[first]) / count
-    # The mean belongs to the mean time of its samples; a line through them takes it to the row.
+    # The mean belongs to the mean time of its samples; the local slope moves it to the row.
     shift = rows - (centre[last] - centre[first]) / count
     slope = (np.interp(rows + 0.5 * step, time, values) - np.interp(rows - 0.5 * step, time, values)) / step
     return np.where(last - first >= 2, mean + shift * slope, line)
 
 
 def _covered(rows: Array, time: Array, step: float) -> Flags:
-    """Return which rows lie between two samples that are not further apart than usual, (T,)."""
+    """Return the rows between two samples at most ``REACH`` usual steps apart, (T,)."""
     after = np.searchsorted(time, rows, side="left")
     inside = (after < time.size) & ((after > 0) | (time[0] == rows))
     high, low = np.clip(after, 0, time.size - 1), np.clip(after - 1, 0, None)
