@@ -23,7 +23,7 @@ WIDTH, HEIGHT, VIEW_DEG, FAR = 480, 270, 70.0, 60.0
 """Pixels, angle of view across, and how far the camera sees [m]."""
 
 BEHIND, ABOVE, DOWN = 1.6, 0.7, 0.4
-"""Where the camera is from the robot [m], world, and how far it looks down [rad]: the robot is in the middle."""
+"""Camera offset from the robot [m], world, and its downward pitch [rad], with the robot in the centre."""
 
 FOLLOWS_S = 0.3
 """Time in which the camera follows the robot [s], so that the robot moves in the picture."""

@@ -36,7 +36,7 @@ PARTS_OF_TASKS = {
     "commands": (Home("aerial_gym.task:COMMANDS"),),
     "actions": (Home("aerial_gym.task:ACTIONS"),),
 }
-"""What tasks are made of. It is told only where it is asked for: these are functions of tensors, which import torch."""
+"""Parts of tasks, listed only on request, as their functions import torch."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from aerial_gym.rl_training.training import TrainingResult
 
 TASK, TRAINER = "position_setpoint_task", "ppo"
-"""What is trained, and by what, if nothing is named."""
+"""Default task and trainer."""
 
 LIMITS = ("max_time_s", "max_env_steps")
 """Of a training; what is given on the command line replaces both of the settings."""

@@ -16,7 +16,7 @@ from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.quaternion import quat_rotate_inverse
 
 COMPONENTS = ("sensors", "viewer")
-"""What ``render`` takes; the viewer shows nothing."""
+"""Modes of ``render``; the viewer shows nothing."""
 
 _FLAGS = ("crashes", "truncations")
 

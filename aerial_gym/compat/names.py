@@ -7,9 +7,9 @@ from dataclasses import dataclass
 class Name:
     """A name of that simulator with its counterpart in this package."""
 
-    theirs: str  # As a script writes it
-    ours: str  # What does it here, without this layer
-    remark: str = ""  # What differs, defects that are mended
+    theirs: str  # Name in scripts
+    ours: str  # Counterpart in this package
+    remark: str = ""  # Differences and corrected defects
 
 
 METHODS: tuple[Name, ...] = (

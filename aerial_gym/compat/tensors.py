@@ -21,8 +21,8 @@ Read = Callable[[EnvManager], Any]
 class Key:
     """A key of that simulator."""
 
-    ours: str  # What stands in its place, for people; `-` for nothing
-    remark: str = ""  # What differs, or the way out
+    ours: str  # Counterpart for the documentation; `-` for none
+    remark: str = ""  # Difference, or remedy
     read: Read | None = None  # Its value; None: there is none
 
 

@@ -103,7 +103,7 @@ class CollisionCfg:
     links a joint connects (links without shapes between are passed over), and those that touch in the reference pose."""
 
     source: str
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
     def on(self, link: str) -> tuple[CollisionShape, ...]:
         """Return the shapes on a link."""

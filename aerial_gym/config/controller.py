@@ -55,7 +55,7 @@ class LeeGainsCfg:
     """Largest tilt that position, velocity and acceleration control ask for [rad], > 0 and < pi/2."""
 
     source: str
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
     def __post_init__(self) -> None:
         require_positive(self, "max_yaw_rate", "max_inclination")
@@ -68,7 +68,7 @@ class LeeGainsCfg:
 
 @dataclass(frozen=True, kw_only=True)
 class ControlCfg:
-    """How a robot is controlled: what is not given follows from its inertia, rotor lag, thrust limits and the time step.
+    """Control settings of a robot; missing ones follow from its inertia, rotor lag, thrust limits and the time step.
 
     The attitude loop has the natural frequency w and the damping ratio z, so the torque is ``J w²`` per rad and ``2 z w J`` per
     rad/s; the position loop likewise gives the acceleration ``w²`` per m and ``2 z w`` per m/s. ``control.gains`` derives both.
@@ -127,7 +127,7 @@ class ControlCfg:
     vehicle, with what a reset has drawn and the effects on its parameters. Gains are those of the robot file in either case."""
 
     source: str = "Derived: aerial_gym.control.gains"
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
     def __post_init__(self) -> None:
         if self.effectiveness not in EFFECTIVENESS:
@@ -158,7 +158,7 @@ class RateLoopCfg:
     """
 
     rate_hz: float | None = None
-    """How often it runs [1/s], > 0; every physics step if not given. A whole number of physics steps must fit between."""
+    """Rate [1/s], > 0; every physics step if not given. A whole number of physics steps must fit between."""
 
     proportional: Vec3 | None = None
     """Angular acceleration per rate error [1/s], >= 0, body axes."""
@@ -178,7 +178,7 @@ class RateLoopCfg:
     """Of the first-order low-pass on the derivative [1/s], > 0; no low-pass if not given."""
 
     source: str = "Derived: aerial_gym.control.gains"
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
     def __post_init__(self) -> None:
         require_positive(self, "rate_hz", "cutoff_hz")
@@ -199,7 +199,7 @@ class ControllerCfg:
     """Explicit gains for whatever robot flies; if not given, gains are the robot's own (``RobotCfg.control``)."""
 
     allocation: Literal["prioritised", "clamp"] = "prioritised"
-    """What gives way where rotors are at their limits: with ``prioritised`` yaw first, then thrust, then roll and pitch; with
+    """Priority under rotor saturation: with ``prioritised`` yaw first, then thrust, then roll and pitch; with
     ``clamp`` each rotor by itself. Where no rotor is, both are the pseudo-inverse."""
 
     rate_loop: RateLoopCfg | None = None
@@ -225,7 +225,7 @@ class ControllerCfg:
     """The Crazyflie's controller of Brescianini, likewise."""
 
     rate_hz: float | None = None
-    """How often the law runs [1/s], > 0; every physics step, or with a rate loop as often as that, if not given. What it
+    """Rate of the law [1/s], > 0; every physics step, or with a rate loop as often as that, if not given. What it
     wants is held in between."""
 
     delay: float = 0.0

@@ -50,13 +50,13 @@ class AssetCfg:
     """One kind of obstacle: its shapes, how many, and where a reset puts them."""
 
     name: str
-    """What messages call it; unique in its environment."""
+    """Name in messages, unique in its environment."""
 
     shapes: tuple[ShapeCfg, ...] = ()
     """Each instance is one of these, drawn once at construction with equal chances."""
 
     family: FamilyCfg | None = None
-    """Where the shapes come from if they are not listed."""
+    """Family of generated shapes, in place of a list."""
 
     count: int
     """Instances in every environment, >= 1."""
@@ -66,7 +66,7 @@ class AssetCfg:
     what has no place beside the robot is parked, also if it is kept."""
 
     semantic_id: int = -1
-    """What segmentation shows, 0 to 99; -1 for the instance's own id (100 + its row in the environment)."""
+    """Segmentation id, 0 to 99; -1 for the instance's own id (100 + its row in the environment)."""
 
     position_ratio_low: Vec3
     """Lowest position of the shape's origin as a share of the bounds (0 lower face, 1 upper face)."""
@@ -85,7 +85,7 @@ class AssetCfg:
     """Highest roll, pitch, yaw [rad], within +-2 pi."""
 
     motion: MotionCfg = field(default_factory=MotionCfg)
-    """How the instances move between resets."""
+    """Motion of the instances between resets."""
 
     def __post_init__(self) -> None:
         if not self.name:
@@ -153,7 +153,7 @@ class EnvironmentCfg:
     a wall there for that."""
 
     ground_semantic_id: int = GROUND_ID
-    """What segmentation shows for the ground, 0 to 99."""
+    """Segmentation id of the ground, 0 to 99."""
 
     ground_color: Vec3 = (0.42, 0.45, 0.36)
     """Red, green, blue of the ground, each 0 to 1."""
@@ -162,7 +162,7 @@ class EnvironmentCfg:
     """Fields of a second colour on the ground."""
 
     contact: ContactCfg | None = None
-    """How ground and obstacles push the robot back, and which touch is then a crash; without it, nothing pushes and every
+    """Contact law of ground and obstacles, and the touches that are crashes; without it, there is no contact force and every
     touch is a crash. Contact that pushes is found at the poses after each substep alone."""
 
     lamps: tuple[LampCfg, ...] = ()
@@ -170,11 +170,11 @@ class EnvironmentCfg:
     pixel that it lights where the sensor has shadows."""
 
     randomize: Mapping[str, RandomizeCfg] = field(default_factory=dict)
-    """What a reset draws anew of the robots here, such as the wind, beside what the robot file says; a name here
+    """Robot quantities drawn at every reset here, such as the wind, in addition to those of the robot file; a name here
     replaces the robot's."""
 
     source: str
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
     def __post_init__(self) -> None:
         if self.ground_height is not None:

@@ -65,7 +65,7 @@ class ImuCfg(PlacementCfg):
     """Age of a measurement when it appears [s], >= 0, rounded to whole environment steps."""
 
     source: str
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
     def __post_init__(self) -> None:
         if self.model != "imu":

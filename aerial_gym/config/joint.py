@@ -83,7 +83,7 @@ class SpringCfg:
     """[rad]."""
 
     preload: float = 0.0
-    """What it holds at rest [N m], such as the weight of an arm."""
+    """Torque at the rest angle [N m], such as against the weight of an arm."""
 
     creep: tuple[CreepCfg, ...] = ()
     """Elements that relax; all have where an episode begins."""
@@ -172,7 +172,7 @@ class JointCfg:
     """Its coordinate in the reference pose [rad] or [m]."""
 
     link: LinkCfg | None = None
-    """What it carries beside joints and rotors; nothing if not given."""
+    """Mass of its link besides joints and rotors; none if not given."""
 
     spring: SpringCfg | None = None
     drive: DriveCfg | None = None
@@ -216,7 +216,7 @@ class JointsCfg:
     """Whether the base flies; else it is held where a reset puts it."""
 
     source: str
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
     def __post_init__(self) -> None:
         known = [BASE]

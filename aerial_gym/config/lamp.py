@@ -14,7 +14,7 @@ class LampCfg:
     """A lamp that shines to all sides alike. At the distance r a white surface that faces it has the brightness I c / r²."""
 
     position: Vec3
-    """Where it is [m], world. The lamp itself is not seen and throws no shadow; a shape around it would."""
+    """Position [m], world. The lamp itself is not seen and throws no shadow; a shape around it would."""
 
     intensity: float
     """I: brightness of a white surface that faces it, times the squared distance [m²], > 0; brightness 1 is that of full

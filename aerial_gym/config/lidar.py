@@ -40,7 +40,7 @@ class LidarCfg(RangeSensorCfg):
     """Elevation of every row [deg], H of them, within +-90, each smaller than the one before: row 0 is on top."""
 
     beam_azimuths_deg: tuple[float, ...] | None = None
-    """What the azimuth of every row is more than that of its column [deg], H of them, within +-90; None: 0. A column is still
+    """Azimuth offset of every row from its column [deg], H of them, within +-90; None: 0. A column is still
     measured at one time."""
 
     cells: bool = False

@@ -10,10 +10,10 @@ from aerial_gym.config.robot import Vec3, require_finite, require_ordered
 from aerial_gym.errors import ConfigError
 
 MOTIONS = ("none", "twist", "waypoints")
-"""How an asset can move between resets."""
+"""Kinds of obstacle motion between resets."""
 
 AT_BOUNDS = ("pass", "bounce", "wrap")
-"""What an asset that moves by its twist can do where its origin meets the bounds."""
+"""Behaviours at the bounds of an asset that moves by its twist."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +40,7 @@ class MotionCfg:
     """Highest angular velocity [rad/s], world."""
 
     at_bounds: str = "pass"
-    """What ``twist`` does where the origin meets the bounds: ``pass`` on, ``bounce`` off, ``wrap`` to the other side."""
+    """Behaviour of ``twist`` when the origin reaches the bounds: ``pass`` on, ``bounce`` off, ``wrap`` to the other side."""
 
     def __post_init__(self) -> None:
         for name, known in (("kind", MOTIONS), ("at_bounds", AT_BOUNDS)):

@@ -19,10 +19,10 @@ from math import inf, isfinite
 from aerial_gym.errors import ConfigError
 
 HOW = ("scale", "offset", "value")
-"""What is drawn: a factor on what the file says, something added to it, or the quantity itself."""
+"""Kinds of draws: a factor on the declared value, an offset to it, or the value itself."""
 
 DISTRIBUTIONS = ("uniform", "log_uniform", "normal", "integer")
-"""How it is distributed. A normal one is truncated at ``low`` and ``high``, where they are given; an integer one draws whole
+"""Distributions. A normal one is truncated at ``low`` and ``high``, where they are given; an integer one draws whole
 numbers from ``low`` to ``high``, all equally often."""
 
 

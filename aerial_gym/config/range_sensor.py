@@ -36,7 +36,7 @@ class NoiseCfg:
     """Standard deviation at distance 0 [m]. The whole polynomial is >= 0 between the limits of the sensor."""
 
     mean_offset: float = 0.0
-    """How much too short distances are on average [m]; a negative one measures too long."""
+    """Mean amount by which distances are too short [m]; negative for too long."""
 
     dropout: float = 0.0
     """Probability that a pixel is dropped and holds ``near_pixel``, whatever it saw; 0 <= dropout < 1."""
@@ -65,7 +65,7 @@ class RangeSensorCfg(PlacementCfg, ImagesCfg):
     """
 
     model: str
-    """Where the rays point; each class has its own name, and a file chooses its class by it."""
+    """Ray model; its name in a file selects the class."""
 
     summary: str
     """One line for people who choose a sensor."""
@@ -111,7 +111,7 @@ class RangeSensorCfg(PlacementCfg, ImagesCfg):
     """Distance [m] that stands for "too near"; None takes -max_range when normalising and -1 otherwise."""
 
     source: str
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
     def __post_init__(self) -> None:
         own = getattr(type(self), "model", None)

@@ -59,7 +59,7 @@ class BodyCfg:
     """Centre of mass from the body origin [m], body axes."""
 
     source: str
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
     def __post_init__(self) -> None:
         require_positive(self, "mass")
@@ -103,7 +103,7 @@ class BatteryCfg:
     """Mechanical power of the rotors per electrical power of the battery, in (0, 1]."""
 
     source: str
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
     def __post_init__(self) -> None:
         require_positive(self, "nominal_voltage", "full_voltage", "empty_voltage", "capacity", "efficiency")
@@ -133,7 +133,7 @@ class MountCfg:
     """Name in ``rotors`` of its type; none where all mounts have the one type ``rotor``."""
 
     link: str = BASE
-    """What carries it: ``base``, or the joint by whose name the link goes (``config.joint``)."""
+    """Carrier: ``base``, or the joint whose link carries it (``config.joint``)."""
 
     def __post_init__(self) -> None:
         require_finite(self, "position", "axis")
@@ -151,7 +151,7 @@ class MountsCfg:
     """At least one."""
 
     source: str
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
     def __post_init__(self) -> None:
         if not self.layout:
@@ -209,25 +209,25 @@ class RobotCfg:
     """Rotor types by name, where mounts differ; each mount then names its own (``rotor: name``)."""
 
     mounts: MountsCfg
-    """Where the rotors are."""
+    """Positions and axes of the rotors."""
 
     joints: JointsCfg | None = None
-    """Where it bends; None for a rigid vehicle. Everything else is of its reference pose."""
+    """Joints; None for a rigid vehicle. All other numbers are for the reference pose."""
 
     collision: CollisionCfg
     """Collision shapes."""
 
     initial_state: InitialStateCfg = InitialStateCfg()
-    """What a reset draws from."""
+    """Initial state, drawn at reset."""
 
     randomize: Mapping[str, RandomizeCfg] = field(default_factory=dict)
-    """What a reset draws anew in each environment, by the names of quantities (``docs/guides/randomise.md``)."""
+    """Quantities drawn at every reset of an environment, by name (``docs/guides/randomise.md``)."""
 
     battery: BatteryCfg | None = None
     """The battery; only effects that depend on it need it."""
 
     control: ControlCfg = field(default_factory=ControlCfg)
-    """How it is controlled: bandwidths, damping, limits, or explicit gains; derived where nothing is said."""
+    """Control settings: bandwidths, damping, limits, or explicit gains; missing ones are derived."""
 
     sensors: tuple[str | SensorMountCfg, ...] = ()
     """Sensors and IMUs on board: a name or a file in the sensor's own place, or a mount of its own."""
@@ -240,7 +240,7 @@ class RobotCfg:
     collision test nor of the placement of obstacles."""
 
     visual: tuple[PartCfg, ...] = ()
-    """What is seen of it: shapes in the body frame, each on its link; its collision shapes if there is none. A ray that starts
+    """Visible shapes in the body frame, each on its link; the collision shapes if none is given. A ray that starts
     inside a shape sees it from within, so sensors belong outside. Segmentation shows 0 unless a part has an id of its own.
     ``load_robot`` takes mesh paths relative to the robot's own file."""
 
@@ -248,7 +248,7 @@ class RobotCfg:
     """Physical effects beyond rigid body and rotors: parameters by effect name (``aerial-gym list effects``)."""
 
     effects_source: str = ""
-    """Where the numbers of the effects come from; needed where there are effects."""
+    """Source of the numbers of effects; required with effects."""
 
     learned_residual: LearnedResidualCfg | None = None
     """Force and torque, learned from flights, that no effect explains."""

@@ -12,7 +12,7 @@ from aerial_gym.config.checks import Vec3, require_finite, require_not_negative,
 from aerial_gym.errors import ConfigError
 
 ROTOR_TRAITS = ("reversible", "force", "slew", "dead_band")
-"""What a rotor may have beyond a speed without sign that follows its command with a lag alone."""
+"""Special features of rotors, beyond an unsigned speed that follows its command with a lag."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +60,7 @@ class RotorCfg:
     """Of the propeller [m], > 0; only effects that depend on it need it."""
 
     source: str
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
     def __post_init__(self) -> None:
         given = [name for name in ("radius", "slew_rate", "slew_rate_down") if getattr(self, name) is not None]

@@ -49,7 +49,7 @@ ScannedCfg = LidarCfg | RosetteCfg
 """A sensor that measures its columns one after the other, if its ``column_s`` is not None."""
 
 SensorCfg = RangeSensorCfg | ImuCfg
-"""Whatever a robot can carry."""
+"""Any sensor of a robot."""
 
 
 def load_sensor(path: str | Path) -> RangeSensorCfg:

@@ -15,7 +15,7 @@ from aerial_gym.errors import ConfigError
 Quat = tuple[float, float, float, float]
 
 BODY = "body"
-"""What sensors are mounted on unless a joint is named, whose link then carries them."""
+"""Default carrier of sensors; the name of a joint stands for its link."""
 
 
 def is_file(name: str) -> bool:
@@ -42,7 +42,7 @@ class SensorMountCfg:
     the GTD keys of every range sensor but the first and of every IMU but the first."""
 
     parent: str = BODY
-    """What it is fixed to: ``body``, or the joint by whose name the link goes. The pose is relative to its frame; that of a
+    """Carrier: ``body``, or the joint whose link carries it. The pose is relative to its frame; that of a
     link is the body's in the reference pose, so that the place of a sensor on an arm is told from the body origin."""
 
     position: Vec3 | None = None

@@ -15,10 +15,10 @@ FIRST_INSTANCE_ID = 100
 """Instance ids start here, so that the semantic ids 0 to 99 never meet one. Source: parity with Aerial Gym (3.5)."""
 
 ROBOT_ID = 0
-"""What segmentation shows for a robot that can be seen. Source: parity with Aerial Gym (3.5)."""
+"""Segmentation id of a visible robot. Source: parity with Aerial Gym (3.5)."""
 
 GROUND_ID = 15
-"""What segmentation shows for the ground: the first id after those of the walls, 9 to 14 (parity 2.2)."""
+"""Segmentation id of the ground: the first after those of the walls, 9 to 14 (parity 2.2)."""
 
 BASE = "base"
 """Name of the link of a robot that is no joint's: the body itself."""
@@ -77,7 +77,7 @@ class PartCfg:
     """ZYX roll, pitch, yaw from the compound to the shape [rad], within +-2 pi."""
 
     semantic_id: int | None = None
-    """What segmentation shows for this part; the asset's own if not given."""
+    """Segmentation id of this part; the asset's own if not given."""
 
     link: str = BASE
     """Of a robot that bends: the joint on whose link it sits; its place is in body axes, in the reference pose."""
@@ -114,7 +114,7 @@ class ShapeCfg:
     """Mesh file that trimesh reads, or URDF; ``load_environment`` takes it relative to the environment's own file."""
 
     parts: tuple[PartCfg, ...] | None = None
-    """What a compound consists of; at least one."""
+    """Parts of a compound; at least one."""
 
     color: Vec3 | None = None
     """Red, green, blue of its surface as colour cameras see it, each 0 to 1. If not given: a mesh has the colours of its
@@ -133,7 +133,7 @@ class ShapeCfg:
     says (in a URDF ``z``, as RViz, MoveIt and Gazebo take it), and ``z`` of all other files."""
 
     link_ids: Mapping[str, int] | None = None
-    """What segmentation shows for named links of a URDF, 0 to 99; every name must be one of its links."""
+    """Segmentation ids of named links of a URDF, 0 to 99; every name must be one of its links."""
 
     first_link_id: int | None = None
     """The other links of a URDF count up from here; if not given, they show what the asset shows."""
@@ -182,7 +182,7 @@ class FamilyCfg:
     """Shapes made by a rule from a seed: see ``aerial_gym.assets.families`` for the rules and their numbers."""
 
     name: str
-    """Which family."""
+    """Name of the family."""
 
     variants: int
     """Number of different shapes, >= 1; the first n of them do not depend on this number."""

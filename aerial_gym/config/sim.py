@@ -28,7 +28,7 @@ class SimCfg:
     """Name of a physics backend; ``auto`` takes the fastest that is registered."""
 
     source: str
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
     def __post_init__(self) -> None:
         require_positive(self, "dt")

@@ -130,16 +130,16 @@ class TaskCfg:
     """Steps after which an episode times out, >= 1."""
 
     start: InitialStateCfg | None = None
-    """Where and how flights begin, in place of what the robot says; ``make_task`` builds the simulation so."""
+    """Initial state of episodes in place of the robot's own, used by ``make_task``."""
 
     time_out_bootstraps: bool = True
     """Whether the return is taken to go on after such an end (``truncated``), or the episode is over (``terminated``)."""
 
     randomize: Mapping[str, RandomizeCfg] = field(default_factory=dict)
-    """What a reset draws anew, beside what robot and environment say; the same names replace it."""
+    """Quantities drawn at every reset, in addition to those of robot and environment; equal names replace them."""
 
     command: CommandCfg | None = field(default_factory=lambda: CommandCfg(generator="point"))
-    """Where to fly; None where the task has no target."""
+    """Command generator; None for a task without a target."""
 
     action: ActionCfg = field(default_factory=ActionCfg)
     """From what a policy gives to what the controller takes."""
@@ -162,10 +162,10 @@ class TaskCfg:
     """Terms of the reward by a name of their own, under which each is logged; the reward is their sum."""
 
     crash_reward: EndRewardCfg | None = None
-    """What a crash is worth; None: no more than the terms say."""
+    """Reward of a crash; None: that of the terms alone."""
 
     success_reward: EndRewardCfg | None = None
-    """What a success is worth in the step in which it is counted, likewise."""
+    """Reward of a success in the step in which it counts, likewise."""
 
     terminations: Mapping[str, TerminationCfg]
     """By what episodes end, beside their length, by a name of its own."""
@@ -177,7 +177,7 @@ class TaskCfg:
     """Python files, from the folder of the task's own file on, or modules, that register what this task chooses by name."""
 
     source: str
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
     def __post_init__(self) -> None:
         require_count(self, "num_envs", "episode_len_steps")

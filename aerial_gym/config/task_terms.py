@@ -31,7 +31,7 @@ def steps_range(steps: Steps) -> tuple[int, int]:
 
 
 FAULTS = ("lost", "jump")
-"""What a fault does to what a sensor says."""
+"""Kinds of sensor faults."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +83,7 @@ class ObservationCfg:
     """Probability that an entry is dropped, of each by itself at every step, 0 <= dropout < 1."""
 
     dropout_value: float = 0.0
-    """What a dropped or lost entry holds, in the unit of the term; finite."""
+    """Value of a dropped or lost entry, in the unit of the term; finite."""
 
     hold_steps: int = 0
     """Steps for which a dropped entry shows what it held last, noise included, before it shows ``dropout_value``, >= 0. An
@@ -97,7 +97,7 @@ class ObservationCfg:
     so many steps have passed it shows the first observation of the episode."""
 
     history: int = 1
-    """How many steps of it are shown side by side, oldest first, >= 1."""
+    """Number of successive values in the observation, oldest first, >= 1."""
 
     scale: float = 1.0
     """Factor on every entry, noise included; finite and not 0."""
@@ -134,10 +134,10 @@ class ImageCfg:
     """``uint8``: 0 to 255; ``float16``, ``float32``: 0 to 1."""
 
     largest: float | None = None
-    """What counts as 255 or 1, in the unit of the image, > 0; that of its range sensor if not given."""
+    """Image value for 255 or 1, in the unit of the image, > 0; that of its range sensor if not given."""
 
     history: int = 1
-    """How many images are shown, oldest first, in front of the sensors, >= 1."""
+    """Number of successive images, oldest first, the axis before the sensors, >= 1."""
 
     def __post_init__(self) -> None:
         if self.dtype not in IMAGE_TYPES:
@@ -190,10 +190,10 @@ class EndRewardCfg:
 
 
 KINDS = ("crash", "success", "time_out")
-"""What an end of an episode is."""
+"""Kinds of episode ends."""
 
 WHENS = ("now", "counts", "at_end")
-"""What becomes of a condition that is true."""
+"""Consequences of a true condition."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,7 +237,7 @@ class TerminationCfg:
 
 @dataclass(frozen=True, kw_only=True)
 class CommandCfg:
-    """Where a task's commands come from: a point, points, a trajectory, gates."""
+    """Command generator of a task: a point, points, a trajectory, gates."""
 
     generator: str
     """Name in ``aerial_gym.task.COMMANDS``."""

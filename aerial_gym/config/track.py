@@ -109,7 +109,7 @@ class TrackCfg:
     """Highest offset of a pole [m], world."""
 
     layout: LayoutCfg | None = None
-    """How the whole track is drawn; None has it as listed."""
+    """Random layout of the whole track; None keeps the listed one."""
 
     def __post_init__(self) -> None:
         if not self.gates:

@@ -24,7 +24,7 @@ from aerial_gym.interop import resolve_device, with_usual_settings
 from aerial_gym.robots.catalog import robot_by_name
 
 OUT_OF_MEMORY = ("allocate memory", "out of memory", "not enough memory", "overflow", "Failed to allocate", "too large")
-"""What of torch's and Warp's messages says that something does not fit."""
+"""Parts of out-of-memory messages of torch and Warp."""
 
 LEAST_BYTES = 100
 """Of an environment without anything around it: pose, twist, four rotors and a target take more."""

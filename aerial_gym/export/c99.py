@@ -225,7 +225,7 @@ def _passing(encoder: Encoder, array: Callable[[str, Tensor], str]) -> Looking:
 
 
 _AFTER_ERROR = "Then reset the state, or restore a copy of it from before the step."
-"""What a caller of a policy with a memory does."""
+"""Remedy after an error for the caller of a policy with a memory."""
 
 _DENSE = """/* Sums of 32 products each: rounding grows with the root of their number, not of num_in. */
 static void dense(const float *weight, const float *bias, int num_in, int num_out, const float *in, float *out) {

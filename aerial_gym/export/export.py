@@ -204,4 +204,4 @@ FORMATS: dict[str, Callable[[FlownPolicy, Layout, Path], Path]] = {
     "torchscript": _torchscript,
     "c99": _c99,
 }
-"""What writes a format."""
+"""Writer of a format."""

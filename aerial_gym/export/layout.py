@@ -28,7 +28,7 @@ class Seen:
 
     key: str  # Key of the task's observation to which it belongs
     term: str
-    meaning: str  # What it is, with unit and frame
+    meaning: str  # Meaning with unit and frame
     first: int  # Its first entry in the exported observation
     count: int  # Its entries; those of `history` steps side by side, oldest first
     history: int
@@ -36,7 +36,7 @@ class Seen:
     noise_std: float  # Standard deviation of the noise that it was trained with, in the unit of the term
     delay_steps: tuple[int, int]  # Fewest and most steps by which it was late in training
     dropout: float = 0.0  # Probability with which an entry was dropped in training
-    dropout_value: float = 0.0  # What a dropped entry held, in the unit of the term: as one without a measurement
+    dropout_value: float = 0.0  # Value of a dropped entry, in the unit of the term; use it for a missing measurement
     hold_steps: int = 0  # Steps for which a dropped entry held its last value before that: feed it so
 
 
@@ -45,10 +45,10 @@ class SeenImage:
     """One image of the observation: numbers as the task gives them, (C, H, W)."""
 
     key: str  # Of the task's observation, and of the input
-    meaning: str  # What a pixel of the sensor's image is
+    meaning: str  # Meaning of a pixel
     shape: tuple[int, int, int]  # Channels, rows, columns; channels are `history` images of each sensor, oldest first
     dtype: str  # `uint8`: `floor(255 share + 0.5)`; `float16`, `float32`: the share itself, 0 to 1
-    largest: float  # What has the share 1, in `unit`; more counts as as much
+    largest: float  # Value with the share 1, in `unit`; larger ones are clamped
     unit: str
     without: float  # Share of a pixel that has nothing (is negative)
     history: int
@@ -62,7 +62,7 @@ class Layout:
     task: str
     robot: str
     controller: str
-    rate_hz: float  # How often it was asked in training [1/s]
+    rate_hz: float  # Rate of the policy in training [1/s]
     observation: tuple[Seen, ...]  # Terms in the order in which they stand, in their own units, before `scale`
     images: tuple[SeenImage, ...] = ()  # Images beside them, in the order of the inputs
     command: tuple[str, ...]  # Entries of the command that comes out, with their units: what the controller takes
@@ -73,7 +73,7 @@ class Layout:
     filter_time_s: float  # Time constant of the low pass behind the command in training [s]; not part of the export
     memory: int  # M: numbers that it remembers from step to step, 0 where an episode begins
     source: str  # Checkpoint
-    encoder: str | None = None  # What makes `image_latents` of the observation, if there are any; not exported
+    encoder: str | None = None  # Encoder of `image_latents` in the observation, if any; not exported
     version: str  # Of this package
 
     @property

@@ -26,7 +26,7 @@ Step = Callable[..., tuple[Tensor, Tensor, Tensor]]
 CPU."""
 
 COMPILER = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic")
-"""What the source is compiled with."""
+"""Compiler options for the source."""
 
 
 class ExportedPilot:
@@ -176,4 +176,4 @@ void {n}_rows(int rows, const float *observation, float *command, float *action,
 
 
 STEPS: dict[str, Callable[[Path, Layout], Step]] = {".onnx": onnx_step, ".pt": torchscript_step, ".c": c99_step}
-"""What runs an exported file, by its ending."""
+"""Runners of exported files by their ending."""

@@ -15,7 +15,7 @@ from torch import Tensor
 from aerial_gym.errors import ConfigError
 
 PACKAGE = Path(__file__).resolve().parents[1]
-"""Where the package is: files of its own are the same in every place."""
+"""Folder of the package, left out of digests so that they do not depend on the place of installation."""
 
 IDENTITY = "identity."
 """In front of the names of digests, which say of which simulation a state is."""

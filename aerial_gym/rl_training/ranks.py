@@ -22,7 +22,7 @@ from aerial_gym.interop import resolve_device
 Value = TypeVar("Value")
 
 VARIABLES = ("RANK", "LOCAL_RANK", "WORLD_SIZE", "MASTER_ADDR", "MASTER_PORT")
-"""What ``torchrun`` tells each process in its environment."""
+"""Environment variables that ``torchrun`` sets in each process."""
 
 
 class Ranks:

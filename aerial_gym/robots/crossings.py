@@ -64,7 +64,7 @@ class Crossing:
 
 @wp.struct
 class Stop:
-    """Where a robot stops on its way."""
+    """Pose and contacts at which a robot's path is stopped."""
 
     crosses: wp.bool  # whether anything is in its way
     crashes: wp.bool  # whether it touches at the speed of a crash

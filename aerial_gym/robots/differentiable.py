@@ -41,7 +41,7 @@ class DifferentiableBackend:
         self._hook: SubstepHook | None = None
         self.state: BodyState = _map(shown, lambda rows: rows.detach().to(dtype, copy=True))
         self.actions: tuple[Tensor, Tensor] = _two(shown_actions, lambda rows: rows.detach().to(dtype, copy=True))
-        """What the robots do in the step, and what they did in the one before, each (E, U), with their graphs."""
+        """Actions of this step and the previous one, each (E, U), with gradients."""
         self._traced: TracedKeys | None = None
         self._rows: tuple[float, SubstepRows | None] | None = None
         self._places: dict[str, Tensor] = {}
@@ -188,12 +188,12 @@ FOLLOWING: dict[str, Callable[["TracedKeys"], Tensor]] = {
     "robot_vehicle_linvel": lambda now: quat_rotate_inverse(now["robot_vehicle_orientation"], now.state.lin_vel),
     "robot_euler_angles": lambda now: euler_from_quat(now.state.attitude),
 }
-"""What follows from the motion, by the keys of the Global Tensor Dictionary."""
+"""Secondary states as functions of the motion, by GTD key."""
 
 FOLLOWING_JOINTS: dict[str, Callable[["TracedKeys"], Tensor]] = {
     "dof_state_tensor": lambda now: torch.stack((now["dof_position"], now["dof_velocity"]), dim=-1),
 }
-"""What follows from the joints, where there are any."""
+"""Quantities derived from joint states, by GTD key."""
 
 
 class TracedKeys(Mapping[str, Tensor]):

@@ -10,16 +10,16 @@ class NonFinite(IntFlag):
     """Quantities that were NaN or infinite in a step; they are bits of ``gtd["non_finite"]``, int32 (E,)."""
 
     ACTION = 1
-    """What the controller was given. The physics may well clamp it and fly on."""
+    """Action. The physics may clamp it and continue."""
 
     STATE = 2
     """Position, attitude, velocities or rotor speeds after the physics."""
 
     REWARD = 4
-    """What the reward of the task returned."""
+    """Reward of the task."""
 
     OBSERVATION = 8
-    """What an observation term of the task returned."""
+    """Observation term of the task."""
 
     def names(self) -> str:
         """Return the quantities in words."""

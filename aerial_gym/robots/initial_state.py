@@ -188,7 +188,7 @@ class InitialState:
             **{name: getattr(state, name) for name in ("position", "attitude", "lin_vel", "ang_vel", "rotor_speed")},
         )
         self.work = RowWork(function=start_row, given_type=StartArrays, given=given)
-        """What begins one environment, for a kernel that does more."""
+        """The start of one environment, for use in another kernel."""
         self._command = RecordedLaunch(
             _start,
             dim=state.num_envs,

@@ -58,7 +58,7 @@ class Drawn:
     """A randomised quantity and its columns among the K numbers."""
 
     name: str  # Of the quantity
-    cfg: RandomizeCfg  # How it is drawn
+    cfg: RandomizeCfg  # Its distribution
     shape: tuple[int, ...]  # Of its draw in one environment
     columns: slice  # Among the K numbers
 

@@ -60,7 +60,7 @@ class Quantity:
     """One line."""
 
     how: tuple[str, ...] = ("scale", "offset", "value")
-    """What may be drawn of it."""
+    """Allowed draws of the quantity."""
 
 
 def _mass(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:

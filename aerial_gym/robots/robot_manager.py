@@ -89,7 +89,7 @@ class RobotManager:
         self._effects = robot_effects(robot, num_envs=self._num_envs, device=gtd.device, dtype=root_state.dtype)
         self._com = torch.zeros(self._num_envs, 3, device=gtd.device)
         self.articulation = bends_of(robot, like=root_state)
-        """How it bends; None for a rigid robot."""
+        """Joints of the robot; None for a rigid one."""
         pushed = around.contact is not None
         asked = {
             "integrator": sim.integrator,
@@ -171,7 +171,7 @@ class RobotManager:
             stored.copy_(params)
             self._effects[i] = (effect, stored)
         self.imu_errors: Tensor | None = None
-        """What effects on the inertial sensors come to, (E, 24), as ``physics.effects.imu_errors`` says; None without such."""
+        """Errors of inertial sensors by effects, (E, 24), see ``physics.effects.imu_errors``; None without such effects."""
         if any(isinstance(effect, ImuEffect) for effect, _ in self._effects):
             self.imu_errors = gtd.declare(TensorSpec(
                 key="robot_imu_errors", shape=("E", WIDTH), unit="m/s², rad/s, -", frame="body", owner="robot",

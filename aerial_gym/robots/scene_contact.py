@@ -51,7 +51,7 @@ from aerial_gym.robots.touching_pairs import (
 _velocity_change = make_velocity_change(MAX_CONTACTS)
 
 _FIRST = ("position", "attitude", "lin_vel", "ang_vel")
-"""What of the motion before a substep is kept, of the centre of mass."""
+"""Motion of the centre of mass that is stored before a substep."""
 
 
 @wp.struct

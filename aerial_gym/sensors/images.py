@@ -75,7 +75,7 @@ def image_shape(cfg: RangeSensorCfg, image: Image, num_envs: int) -> tuple[int, 
 
 
 POISON = {torch.float32: float("nan"), torch.int32: -(2**31)}
-"""What no kernel writes, by type: a pixel that still holds it was forgotten."""
+"""Values that no kernel writes, by dtype: they reveal an unwritten pixel."""
 
 
 def make_images(cfg: RangeSensorCfg, num_envs: int, *, device: torch.device, poisoned: bool = False) -> SensorImages:

@@ -29,7 +29,7 @@ from aerial_gym.sensors.catalog import IMUS, SENSORS
 Cfg = TypeVar("Cfg", RangeSensorCfg, ImuCfg)
 
 PLACE = ("position", "euler")
-"""What may be drawn of the place of a sensor."""
+"""Components of a sensor's placement that can be random."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +66,7 @@ class Mounted(Generic[Cfg]):
     """A sensor on a robot."""
 
     cfg: Cfg  # The sensor, with the rate and latency of its mount
-    pose: Pose | None  # Where it is instead of its nominal placement; None where its mount says nothing
+    pose: Pose | None  # Pose of the mount in place of the nominal one; None without
     link: str = BASE  # Name of the link that carries it
 
 

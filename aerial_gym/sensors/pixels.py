@@ -29,7 +29,7 @@ class Outputs:
     """Images that a sensor writes, and the pixel computations that they need."""
 
     images: tuple[str, ...]  # Names in `IMAGES`
-    in_world: tuple[str, ...]  # Those of them that stand in the world frame
+    in_world: tuple[str, ...]  # Images in the world frame
     noise: bool  # Whether the distance has noise
     shadows: bool  # Whether what stands before a light takes it away
     lamps: bool  # Whether the environment has lamps

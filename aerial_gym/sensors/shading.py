@@ -34,7 +34,7 @@ NEAREST = wp.constant(1.0e-6)
 """Least squared distance [m²] at which a lamp shines on a surface: 1 mm, so that a lamp on a surface stays finite."""
 
 DEPTH_OF_FIELDS = wp.constant(0.01)
-"""How far below the surface a checkerboard is looked up, per field: a face between two layers of cubes shows one of them."""
+"""Depth below the surface of a checkerboard look-up, as a share of a field, so that a face lies within one layer."""
 
 
 @wp.func

@@ -11,7 +11,7 @@ from aerial_gym.sensors.view import View
 
 @wp.struct
 class Surface:
-    """Where a ray meets a part."""
+    """Hit point of a ray on a part."""
 
     normal: wp.vec3  # unit, sensor frame, towards the sensor
     face: (

@@ -18,7 +18,7 @@ class Tiles:
     """A ray table in the order of its tiles; incomplete tiles are filled with copies of one of their rays."""
 
     direction: Tensor  # Unit directions, (T * L, 3)
-    pixel: Tensor  # Which pixel a ray is, -1 for a copy, int32, (T * L,), in every frame
+    pixel: Tensor  # Pixel index of a ray, -1 for a copy, int32, (T * L,), in every frame
     middle: Tensor  # Middle of the directions of a tile, (T, 3)
     spread: Tensor  # Half of what they differ by on each axis, (T, 3)
 

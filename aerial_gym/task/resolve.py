@@ -22,7 +22,7 @@ UNTRACED = (
     *("vec_root_tensor", "robot_state_tensor", "robot_clearance", "robot_contact_force"),
     *("robot_link_state_tensor", "robot_link_body_angvel", "robot_link_clearance"),
 )
-"""What follows from the motion in kernels and has no gradient, beside all that sensors measure."""
+"""Quantities computed from the motion without gradients, besides all sensor data."""
 
 SENSORS = "SensorManager"
 """Owner of that."""

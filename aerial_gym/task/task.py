@@ -105,7 +105,7 @@ class Task:
         self._cells = Cells(env.sensor_manager, env.gtd, robot=cfg.robot)
         self._latents = Latents(env.sensor_manager, env.gtd, robot=cfg.robot, encoder=cfg.encoder)
         self.values = self._make_values(num_commands)
-        """What terms read, by name: keys of the GTD and the task's own buffers; ``print(task.values.own)`` shows these."""
+        """Inputs of terms by name: GTD keys and the task's own buffers; ``print(task.values.own)`` shows the latter."""
         declare_delay(cfg.action, self.values)
         self._command = make_command(cfg.command, self.values, env)
         self.curriculum = (
@@ -348,7 +348,7 @@ class Task:
 
     @property
     def target_position(self) -> Tensor:
-        """Where to fly [m], world, (E, 3)."""
+        """Target position [m], world, (E, 3)."""
         return self.values.find(TARGET, "whoever asks for the target")
 
     @property

@@ -38,7 +38,7 @@ class Values(Mapping[str, Tensor]):
         self.own = GlobalTensorDictionary(device=gtd.device, sizes=sizes)
         """Buffers of the task."""
         self.updates: dict[str, BoundTerm] = {}
-        """What buffers hold after a step, by name, in the order in which that is computed."""
+        """Updates of buffers after a step, by name, in the order of computation."""
         self.measured: set[str] = set()
         """Buffers with a row for each environment that makers gave: kernels measure what they hold."""
 

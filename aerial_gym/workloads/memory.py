@@ -24,7 +24,7 @@ class MemoryBench:
     """Environments side by side."""
 
     largest: int = 12
-    """How many arrays are named."""
+    """Number of arrays in the list."""
 
     backend: str | None = None
     """Registered physics backend (aerial-gym list backends); that of the sim if not given."""

@@ -87,7 +87,7 @@ TABLE = Table(
     ),
     idle_sections={},
 )  # fmt: skip
-"""What becomes of the attributes of an asset class."""
+"""Translation of the attributes of an asset class."""
 
 _BOX = AssetCfg(
     name="asset",

@@ -105,7 +105,7 @@ TABLE = Table(
     ),
     idle_sections={},
 )  # fmt: skip
-"""What becomes of the attributes of a class of gains."""
+"""Translation of the attributes of a class of gains."""
 
 control = TABLE.class_of("control", SHARED)
 """Gains of that simulator's Lee controllers."""

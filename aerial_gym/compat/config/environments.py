@@ -52,7 +52,7 @@ TABLE = Table(
     ),
     idle_sections={},
 )  # fmt: skip
-"""What becomes of the attributes of an environment class."""
+"""Translation of the attributes of an environment class."""
 
 
 def environment_of(cls: Any) -> EnvironmentCfg:

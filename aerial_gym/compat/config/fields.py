@@ -37,16 +37,16 @@ class Field:
     """Dotted path in the class."""
 
     ours: str
-    """What stands in its place here, for people; ``-`` for nothing."""
+    """Counterpart in this package, for the documentation; ``-`` for none."""
 
     remark: str = ""
-    """What differs, or why nothing stands in its place."""
+    """Difference, or reason for the missing counterpart."""
 
     read: Callable[[Any], object]
     """Its value in a class that stands for one of our configurations."""
 
     write: Callable[[Values], Changes] | None = None
-    """What changes here, of all values of the class, where this one is another; None: nothing does."""
+    """Changes of the configuration for another value, from all values of the class; None without any."""
 
     refused: bool = False
     """Whether another value is an error, with ``remark`` as the way out; otherwise it is noted in the log."""
@@ -87,7 +87,7 @@ def kept(theirs: str, ours: str, read: Callable[[Any], object], remark: str = ""
 class Table:
     """All attributes of one family of configuration classes."""
 
-    kind: str  # What the classes are, as messages call them
+    kind: str  # Kind of the classes in messages
     fields: tuple[Field, ...]  # Attributes that are known
     idle_sections: Mapping[str, str]  # Nested classes of which no attribute means anything here, and why
 

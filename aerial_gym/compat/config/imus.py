@@ -84,7 +84,7 @@ TABLE = Table(
     ),
     idle_sections={},
 )  # fmt: skip
-"""What becomes of the attributes of an IMU class."""
+"""Translation of the attributes of an IMU class."""
 
 _made: dict[str, type] = {}
 

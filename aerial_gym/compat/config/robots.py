@@ -203,7 +203,7 @@ TABLE = Table(
     ),
     idle_sections={"reset_asset": "-"},
 )  # fmt: skip
-"""What becomes of the attributes of a robot class."""
+"""Translation of the attributes of a robot class."""
 
 
 def floats(cls: Any) -> bool:

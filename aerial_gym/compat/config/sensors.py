@@ -138,7 +138,7 @@ CAMERA = Table(
     ),
     idle_sections={},
 )  # fmt: skip
-"""What becomes of the attributes of a camera class."""
+"""Translation of the attributes of a camera class."""
 
 LIDAR = Table(
     kind="lidar",
@@ -152,7 +152,7 @@ LIDAR = Table(
     ),
     idle_sections={},
 )
-"""What becomes of the attributes of a lidar class."""
+"""Translation of the attributes of a lidar class."""
 
 
 def sensor_of(cls: Any) -> RangeSensorCfg:

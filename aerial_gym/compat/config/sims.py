@@ -30,7 +30,7 @@ TABLE = Table(
         "viewer": "there is no viewer window",
     },
 )
-"""What becomes of the attributes of a sim class."""
+"""Translation of the attributes of a sim class."""
 
 
 def sim_of(cls: object) -> SimCfg:

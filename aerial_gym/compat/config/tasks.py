@@ -113,7 +113,7 @@ TABLE = Table(
     ),
     idle_sections={},
 )  # fmt: skip
-"""What becomes of the attributes of a task configuration class."""
+"""Translation of the attributes of a task configuration class."""
 
 _made: dict[str, type] = {}
 

@@ -36,7 +36,7 @@ class BetaflightCfg(Tuned):
     """
 
     rate_hz: float | None = None
-    """How often the loop runs [1/s]; every physics step if not given. Betaflight: 8000 over pid_process_denom."""
+    """Rate of the loop [1/s]; every physics step if not given. Betaflight: 8000 over pid_process_denom."""
 
     rates_type: str = "NONE"
     """``NONE``: an action is body rates [rad/s]. ``ACTUAL``: it is sticks, -1 to 1, that Actual rates map to them."""
@@ -116,7 +116,7 @@ class BetaflightCfg(Tuned):
     """Of yaw."""
 
     tpa_mode: str = "D"
-    """What full throttle weakens: D, or P and D (PD)."""
+    """Gains reduced at full throttle: D, or P and D (PD)."""
 
     tpa_rate: float = 65.0
     """By how much at full throttle [%]."""
@@ -129,7 +129,7 @@ class BetaflightCfg(Tuned):
     throttle, where the integrals are also held at zero."""
 
     source: str = "Derived: aerial_gym.control.betaflight.parameters"
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

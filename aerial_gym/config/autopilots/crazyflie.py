@@ -22,7 +22,7 @@ class MellingerCfg(Tuned):
     POSITIVE: ClassVar[frozenset[str]] = frozenset(("mass", "massThrust"))
 
     mass: float | None = None
-    """What it takes the vehicle to weigh [kg]."""
+    """Vehicle mass in the firmware's settings [kg]."""
 
     massThrust: float | None = None
     """Counts per newton of all rotors together."""
@@ -65,7 +65,7 @@ class MellingerCfg(Tuned):
     i_range_m_z: float = 1500.0
 
     source: str = "Derived: aerial_gym.control.crazyflie.parameters"
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +76,7 @@ class CrazyfliePidCfg(Tuned):
     """
 
     rate_hz: float | None = None
-    """How often attitude and rates are controlled [1/s]; every physics step if not given. The Crazyflie: 500, and position and
+    """Rate of the attitude and rate loops [1/s]; every physics step if not given. The Crazyflie: 500, and position and
     velocity 100."""
 
     position_kp: Vec3 | None = None
@@ -128,7 +128,7 @@ class CrazyfliePidCfg(Tuned):
     """Largest integrated rate [deg]. If not given half of the moment that counts allow is left to it."""
 
     source: str = "Derived: aerial_gym.control.crazyflie.parameters"
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,7 +141,7 @@ class CrazyflieLeeCfg(Tuned):
     POSITIVE: ClassVar[frozenset[str]] = frozenset(("mass",))
 
     mass: float | None = None
-    """What it takes the vehicle to weigh [kg]."""
+    """Vehicle mass in the firmware's settings [kg]."""
 
     Kpos_P: Vec3 | None = None
     """Acceleration per position error [1/s²]; that of a Crazyflie is 7."""
@@ -169,7 +169,7 @@ class CrazyflieLeeCfg(Tuned):
     """Largest integrated attitude error [rad s]. If not given half of the torque at hover is left to it. There it is free."""
 
     source: str = "Derived: aerial_gym.control.crazyflie.parameters"
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,7 +184,7 @@ class BrescianiniCfg(Tuned):
     )  # fmt: skip
 
     rate_hz: float | None = None
-    """How often body rates are controlled [1/s]; every physics step if not given. The Crazyflie: 500, and the rest 100."""
+    """Rate of the body-rate loop [1/s]; every physics step if not given. The Crazyflie: 500, and the rest 100."""
 
     tau_xy: float | None = None
     """Time constant of the position [s], along world x and y."""
@@ -222,7 +222,7 @@ class BrescianiniCfg(Tuned):
     """Largest wanted rate about body z [rad/s]."""
 
     source: str = "Derived: aerial_gym.control.crazyflie.parameters"
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

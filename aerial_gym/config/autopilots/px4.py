@@ -21,7 +21,7 @@ class Px4Cfg(Tuned):
     """
 
     rate_hz: float | None = None
-    """How often the rate controller runs [1/s]; every physics step if not given. PX4: IMU_GYRO_RATEMAX."""
+    """Rate of the rate controller [1/s]; every physics step if not given. PX4: IMU_GYRO_RATEMAX."""
 
     MC_ROLLRATE_K: float = 1.0
     """Scale of P, I and D of roll [-]."""
@@ -108,7 +108,7 @@ class Px4Cfg(Tuned):
     """Likewise [1/s]. PX4's default is 2.8."""
 
     MC_YAW_WEIGHT: float = 0.4
-    """How much of a yaw error is turned to while roll and pitch are [-], > 0 and <= 1."""
+    """Weight of yaw against roll and pitch in the attitude error [-], > 0 and <= 1."""
 
     MC_ROLLRATE_MAX: float = 220.0
     """Largest rate that the attitude controller wants [deg/s]."""
@@ -175,11 +175,11 @@ class Px4Cfg(Tuned):
     highest speed [-], 0 to 1. If not given the autopilot knows the thrust map of the robot file."""
 
     MC_AIRMODE: int | None = None
-    """What gives way where motors are at their limits: PX4's order, in which thrust rises for no torque (0), for roll
+    """Priority under motor saturation: PX4's order, in which thrust rises for no torque (0), for roll
     and pitch (1), or for yaw as well (2). If not given, that of ``ControllerCfg.allocation``. PX4's default is 0."""
 
     source: str = "Derived: aerial_gym.control.px4.parameters"
-    """Where the numbers come from."""
+    """Source of the numbers."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -41,10 +41,10 @@ class Images:
     """Images of one sensor, each a share of its largest distance."""
 
     seen: Tensor
-    """What the sensor measures, (N, H, W)."""
+    """Sensor images, (N, H, W)."""
 
     target: Tensor
-    """What is to be told from it, (N, H, W)."""
+    """Images to be reconstructed, (N, H, W)."""
 
     env: Tensor
     """Number of the environment in the settings, (N,)."""

@@ -7,7 +7,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.sensors.encoder.network import AutoencoderCfg
 
 TARGETS = ("distance", "collision")
-"""What an encoder learns to tell: what the sensor measures, or how far the robot could fly."""
+"""Targets of an encoder: the sensor's image, or its collision distances."""
 
 
 @dataclass(frozen=True, kw_only=True)

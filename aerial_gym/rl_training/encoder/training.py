@@ -63,7 +63,7 @@ class EncoderResult:
     """The file; None if it was interrupted before the end."""
 
     robot: str
-    """Whose sensor it knows."""
+    """Robot whose sensor it was trained for."""
 
     epochs: int
     """Epochs in all sessions."""
@@ -81,7 +81,7 @@ class EncoderResult:
     """On the images of other scenes, by what tells them: ``encoder``, ``pca_64``, ``mean_image``."""
 
     errors_by_env: Mapping[str, Errors]
-    """Those of the encoder by environment."""
+    """Errors of the encoder by environment."""
 
 
 class EncoderFolder:

@@ -39,7 +39,7 @@ BLOCKS_EACH = 2
 """Blocks of the gradient for each multiprocessor: 92 us, with one 100 us."""
 
 POLICY, CRITIC = "policy", "critic"
-"""What each network sees as one vector."""
+"""Input of each network as one vector."""
 
 PRECISION, BACKWARD_PRECISION = "tf32x3", "tf32"
 """Of products: the probability ratio compares two passes forward, so that these are as exact as float32."""

@@ -75,10 +75,10 @@ class Flown:
     """Whether an episode begins with the observation, bool, (T + 1, E)."""
 
     memory: Tensor
-    """What was remembered before the first step, (E, M)."""
+    """Memory before the first step, (E, M)."""
 
     acting: Tensor
-    """What the policy remembers after the last step, (E, M')."""
+    """Memory of the policy after the last step, (E, M')."""
 
     action: Tensor
     mean: Tensor
@@ -105,7 +105,7 @@ class Samples:
     (what it is to become), (T, E, ...)."""
 
     memory: Tensor
-    """What was remembered before the first step, (E, M)."""
+    """Memory before the first step, (E, M)."""
 
     def select(self, environments: Tensor) -> "Samples":
         """Return the samples of selected environments, int64 (E',)."""

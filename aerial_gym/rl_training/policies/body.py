@@ -28,7 +28,7 @@ class BodyCfg:
     """Shape of a body."""
 
     shapes: Mapping[str, tuple[int, ...]]
-    """What it sees, by key of the observation: (O,) a vector, (C, H, W) an image."""
+    """Input shapes by observation key: (O,) for a vector, (C, H, W) for an image."""
 
     hidden_layers: tuple[int, ...]
     """Widths of the layers behind the encoders."""

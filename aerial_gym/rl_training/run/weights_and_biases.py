@@ -14,7 +14,7 @@ from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.summaries import listening
 
 STEP = "global_step"
-"""What scalars are drawn over: the step that they have in TensorBoard, which for some of rl-games is an epoch or a time."""
+"""Horizontal axis of scalars: their TensorBoard step, for some of rl-games an epoch or a time."""
 
 
 def require_wandb() -> None:

@@ -29,7 +29,7 @@ LOOK_EVERY = 8
 """Iterations on a GPU between two looks of the host, which is one look behind."""
 
 OWN_STATE = ("learner", "generator", "task")
-"""What is another one in each process that learns; the rest of a state is common to all."""
+"""Keys of a state that differ between processes; all others are common."""
 
 RECENT_EPISODES = 100
 """Episodes over which returns and lengths are averaged, at least, as far as there are as many."""

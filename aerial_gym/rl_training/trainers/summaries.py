@@ -95,7 +95,7 @@ class Scalars:
         self._events: GuardedEvents | None = None
 
     def add(self, numbers: Callable[[], Mapping[str, float | None]], env_steps: int) -> None:
-        """Ask for numbers and write them, if it is time; those that are None are not known yet.
+        """Write numbers at their interval; None stands for a number not yet known.
 
         Raises:
             StorageError: If numbers before could not be written.

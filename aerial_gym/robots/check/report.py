@@ -51,7 +51,7 @@ class RobotReport:
     """Of each rotor at hover in still air, as the allocation gives it, (R,)."""
 
     hover_share: float
-    """How far the hardest working rotor is between its lowest and its highest thrust at hover: 0 to 1."""
+    """Largest hover thrust of all rotors as a share of the thrust range, 0 to 1."""
 
     thrust_to_weight: float
     """Largest thrust along body z without torque, per weight."""
@@ -61,10 +61,10 @@ class RobotReport:
     that push in every direction."""
 
     force_n: tuple[float, ...]
-    """Which the rotors give both ways along x, y, z at hover and without torque."""
+    """Largest symmetric force along x, y, z at hover without torque."""
 
     torque_n_m: tuple[float, ...]
-    """Which the rotors give both ways about x, y, z at hover."""
+    """Largest symmetric torque about x, y, z at hover."""
 
     angular_acceleration_rad_s2: tuple[float, ...]
     """Of that torque."""
@@ -79,7 +79,7 @@ class RobotReport:
     """Why it cannot fly as described; none of a robot that can."""
 
     warnings: tuple[str, ...]
-    """What is odd."""
+    """Warnings about implausible numbers."""
 
     def as_mapping(self) -> dict[str, object]:
         """Return everything as JSON takes it."""

@@ -22,7 +22,7 @@ class FoundRotor:
     """A place where a rotor pushes."""
 
     name: str  # In the file
-    position: np.ndarray  # Where its thrust acts [m], (3,)
+    position: np.ndarray  # Point of application of the thrust [m], (3,)
     axis: np.ndarray  # Direction of positive thrust, unit, (3,)
     spin: int | None = None  # Sense of turning about the axis; None where the file says nothing
     rotor: RotorCfg | None = None  # Its type; None where the file says nothing
@@ -34,7 +34,7 @@ class Weightless:
     """Mass whose weight the file takes away: gravity compensation of MJCF, links without gravity of SDF and URDF."""
 
     mass: float  # [kg]; below 0 where the file adds weight
-    position: np.ndarray  # Where its weight would act [m], (3,)
+    position: np.ndarray  # Centre of mass [m], (3,)
     link: str = BASE  # Joint whose link it is on, or the base
 
 
@@ -51,8 +51,8 @@ class Found:
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     effects_source: str = ""
 
-    notes: Sequence[str] = ()  # What the file holds and is not used, a line each
-    assumed: Sequence[str] = ()  # What is taken otherwise than the file has it, or is not in the file, a line each
+    notes: Sequence[str] = ()  # Unused elements of the file, a line each
+    assumed: Sequence[str] = ()  # Changed or missing data, a line each
     losses: Sequence[str] = ()  # Parts left out without which it flies otherwise: wings, joints that tilt rotors
 
 

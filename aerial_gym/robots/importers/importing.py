@@ -45,8 +45,8 @@ class Imported:
     """An imported robot, with the unused elements of its file and the assumptions."""
 
     robot: RobotCfg
-    notes: tuple[str, ...]  # What is not used, a line each, none twice
-    assumed: tuple[str, ...] = ()  # What is taken otherwise, or is not in the file, likewise
+    notes: tuple[str, ...]  # Unused elements, a line each, without duplicates
+    assumed: tuple[str, ...] = ()  # Changed or missing data, likewise
 
     def lines(self) -> Iterator[str]:
         """Yield one line per unused element and per assumption."""

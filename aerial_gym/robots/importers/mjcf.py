@@ -288,7 +288,7 @@ _OTHERS = (
     ("materials", "nmat", "mat"),
     ("textures", "ntex", "tex"),
 )
-"""What a model holds beside bodies, joints, geoms, sites and actuators: words, the field that counts it, and the accessor."""
+"""Other elements of a model: name, the field with their number, and the accessor."""
 
 
 def _pose(place: np.ndarray, turn: np.ndarray) -> np.ndarray:

@@ -30,7 +30,7 @@ DEFAULTS = {
     "rotorDragCoefficient": 1e-4,
     "rollingMomentCoefficient": 1e-6,
 }
-"""What the plugin takes where a file says nothing."""
+"""Default values of the plugin."""
 
 _NAMES = ("jointName", "linkName", "motorNumber", "turningDirection", "motorType")
 

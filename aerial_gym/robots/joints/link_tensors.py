@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class LinkTensors:
-    """Where links are, in the GTD."""
+    """Link poses and velocities in the GTD."""
 
     state: Tensor  # Position [m], xyzw, velocity [m/s], angular velocity [rad/s] of the link frames, world, (E, L, 13)
     ang_vel: Tensor  # Angular velocity [rad/s], axes of the link, (E, L, 3)

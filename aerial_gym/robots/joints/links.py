@@ -177,7 +177,7 @@ class LinkPlaces:
         """Take views of the state, which must stay where it is, and of what is written; follow a record if it has joints."""
         followed = trajectory is not None and trajectory.joint_pos is not None
         self.track: LinkTrack | None = LinkTrack(cfg, trajectory) if followed and trajectory is not None else None
-        """Where links are after each substep of the last step; None where that is not recorded."""
+        """Link poses after each substep of the last step; None without a record."""
         place = wp.device_from_torch(state.position.device)
         table = _table(cfg, place)
         base = (state.position, state.attitude, state.lin_vel, state.ang_vel)

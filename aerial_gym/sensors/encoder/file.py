@@ -23,7 +23,7 @@ ENCODERS = CONFIG_DIR / "encoders"
 """Folder of the encoders that come with the package, ``NAME.pt``."""
 
 WHAT = "encoder"
-"""What errors call such a file."""
+"""Name of the file kind in errors."""
 
 HOW = "Train one with aerial-gym train-encoder"
 """The way out of most errors."""
@@ -33,7 +33,7 @@ HOW = "Train one with aerial-gym train-encoder"
 class SeenCfg:
     """Image format that a sensor must share with the encoder's training."""
 
-    model: str  # Where rays point, as in a sensor file
+    model: str  # Ray model, as in a sensor file
     kind: str  # `depth` or `range`
     rows: int  # Pixels in a column
     columns: int  # Pixels in a row

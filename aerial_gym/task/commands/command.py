@@ -24,7 +24,7 @@ class Command:
     """Under which it is registered."""
 
     reads: tuple[str, ...] = ()
-    """What ``at`` and ``after`` read, beside ``sim_steps`` and ``begun``; its own buffers included."""
+    """Inputs of ``at`` and ``after`` besides ``sim_steps`` and ``begun``; its own buffers included."""
 
     goal = False
     """Whether obstacles that are drawn keep their distance from the target of a new episode."""

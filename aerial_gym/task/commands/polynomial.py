@@ -44,7 +44,7 @@ def minimum_snap(num_points: int) -> Array:
     rows, given = [], []
 
     def ask(where: list[tuple[int, float, float]], order: int, point: int | None = None) -> None:
-        """Ask that a sum of derivatives, (segment, u, sign) each, is a point, or zero."""
+        """Add the equation that a sum of derivatives, (segment, u, sign) each, equals a point, or zero."""
         row = np.zeros((segments, DEGREE + 1))
         for segment, u, sign in where:
             row[segment] += sign * _powers(u, order)

@@ -55,7 +55,7 @@ class WhiteNoise:
         self._purpose = purpose
         device = step.device
         self.noise = torch.zeros(random.num_envs, len(kinds), device=device)
-        """What was drawn last, (E, N), in the order of the entries given; infinity where one is dropped."""
+        """Last draws, (E, N), in the order of the given entries; infinity for a dropped one."""
         stds, dropouts = (
             torch.tensor([kind[i] for kind in kinds.values()], device=device, dtype=torch.float32) for i in (0, 1)
         )

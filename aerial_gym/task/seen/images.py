@@ -33,7 +33,7 @@ class Images:
             UnknownNameError: If the robot has no such image.
         """
         self.frames: dict[str, Tensor] = {}
-        """What is observed, by name; overwritten by every step."""
+        """Observed images by name, overwritten by every step."""
         begun = values.find("begun", "images")
         all_rows, none = torch.ones_like(begun), torch.zeros_like(begun)
         self._kept_alive: list[Tensor] = [begun, all_rows, none]

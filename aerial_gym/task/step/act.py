@@ -25,7 +25,7 @@ LINE, DELAY, FILTERED, POLICY_ACTION = "command_line", "action_delay", "filtered
 """Buffers."""
 
 NOISE = "command_noise"
-"""What is drawn of it in a step, beside them."""
+"""Draws of a step for actions, besides the noise."""
 
 
 def declare_delay(cfg: ActionCfg, values: Values) -> None:

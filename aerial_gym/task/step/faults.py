@@ -39,7 +39,7 @@ class Faults:
             shares += [(0.0, 1.0), *[(-cfg.size, cfg.size)] * width]
         self._draws: list[UniformDraws] = []
         self.reads: dict[str, Tensor] = {}
-        """What ``apply_fault`` reads."""
+        """Inputs of ``apply_fault``."""
         if not ranges:
             return
         steps = values.declare(STEPS, (len(ranges),), unit="steps", meaning="when faults begin, how long they last")

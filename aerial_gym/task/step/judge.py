@@ -44,7 +44,7 @@ class Ends:
     terminated: Tensor
     truncated: Tensor
     arrived: Tensor  # Whether a success that counts was there in this episode
-    causes: list[Tensor]  # Which terminations ended it; the last one is the length of the episode
+    causes: list[Tensor]  # Flags of the terminations that ended an episode; the last is the time limit
 
 
 class Judge:

@@ -20,7 +20,7 @@ from aerial_gym.task.terms.term import BoundTerm
 from aerial_gym.task.values import Values
 
 NOISE, DELAYS = "observation_noise", "observation_delay"
-"""What the kernel reads beside the terms' own tensors: draws of this step, and steps drawn at reset."""
+"""Inputs of the kernel besides those of terms: draws of this step, and delays drawn at reset."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +131,7 @@ class Observer:
         """Lines, and what is held."""
         self.reads = {NOISE: self._noise.noise, DELAYS: delays} | self._faults.reads | self.writes
         self.reads |= values.read_by(*self.terms)
-        """What ``observe`` reads."""
+        """Inputs of ``observe``."""
         begun = {"begun": values.find("begun", "the observation")}
         self._rows = NamedRows(
             self._after,

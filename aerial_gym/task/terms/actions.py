@@ -20,7 +20,7 @@ class Action:
 
     value: Callable[..., Tensor]  # Of actions (E, U) and parameters by name, to commands
     width: int | None = None  # Entries of an action; None is the width of the command
-    command: tuple[str, ...] | None = None  # What the controller must take; None fits all
+    command: tuple[str, ...] | None = None  # Required controller command; None fits all
 
     @property
     def summary(self) -> str:

@@ -228,7 +228,7 @@ def nearest_poles(
     *,
     count: int,
 ) -> Tensor:
-    """Return horizontal offsets [m] of the nearest poles at their known positions, vehicle frame, nearest first, (E, 2 count)."""
+    """Return horizontal offsets [m] of the nearest poles at known positions, vehicle frame, nearest first, (E, 2 count)."""
     known = torch.where(poles_seen.unsqueeze(-1), pole_position, pole_nominal_position) - robot_position.unsqueeze(1)
     rows = [quat_rotate_inverse(robot_vehicle_orientation, away)[:, :2] for away in known.unbind(1)]
     squares = [(row * row).sum(-1) for row in rows]

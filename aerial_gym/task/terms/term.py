@@ -34,7 +34,7 @@ class Term:
     """Entries per environment that it returns, ``ACTION``, or None where only a call tells."""
 
     command: tuple[str, ...] | None = None
-    """What the controller must take (``Law.action``); None fits all."""
+    """Required controller command (``Law.action``); None fits all."""
 
     named: Mapping[str, str] = field(default_factory=dict)
     """Names of tensors that follow from its numbers, by the argument: ``"nearest_in_{rows}x{columns}_cells"``."""
@@ -55,7 +55,7 @@ class Term:
 class BoundTerm:
     """A term with its numbers, as a task uses it."""
 
-    label: str  # What messages call it; of no other term in the task
+    label: str  # Name in messages, unique within the task
     term: Term
     params: Mapping[str, Any]
     reads: tuple[str, ...] = field(default=())

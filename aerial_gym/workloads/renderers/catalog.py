@@ -15,7 +15,7 @@ class RenderPeer:
     """Modules that must be importable."""
 
     install: str
-    """What pip installs."""
+    """Distribution for pip."""
 
     devices: tuple[str, ...]
     """``cpu``, ``cuda``."""

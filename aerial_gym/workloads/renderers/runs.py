@@ -39,7 +39,7 @@ class PeerTimes:
     """Along the optical axis [m], -1 for a miss, (E, H, W)."""
 
     identity: np.ndarray | None
-    """What each pixel sees, -2 for a miss, (E, H, W)."""
+    """Segmentation id of each pixel, -2 for a miss, (E, H, W)."""
 
     versions: dict[str, str]
     """By package."""
