@@ -25,7 +25,7 @@ LINE, DELAY, FILTERED, POLICY_ACTION = "command_line", "action_delay", "filtered
 """Buffers."""
 
 NOISE = "command_noise"
-"""Draws of a step for actions, besides the noise."""
+"""Buffer of the command noise, drawn in every step."""
 
 
 def declare_delay(cfg: ActionCfg, values: Values) -> None:
