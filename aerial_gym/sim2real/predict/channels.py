@@ -40,11 +40,6 @@ class Channel:
         """Unique name."""
         return f"{self.kind}.{self.axis}"
 
-    @property
-    def words(self) -> str:
-        """Unique name in words."""
-        return f"{self.kind.replace('_', ' ')} {self.axis}"
-
 
 def comparison_band(flights: Sequence[Flight], bandwidth: float) -> float:
     """Return below which frequency measured and predicted are compared [Hz]: the one asked for, as far as the logs reach."""
