@@ -1,7 +1,7 @@
-"""What effects answer for the same rows again and again, under models that differ in little.
+"""Cache of effect results for the same rows under similar models.
 
-A fit asks for many models about one. An effect is asked anew only where its parameters, or something that it has read, differ
-from those for which it has answered: what it reads is noted while it answers, so that no effect has to say.
+A fit evaluates many models close to one. An effect is recomputed only if its parameters, or an input that it reads, differ from
+a cached evaluation. The inputs are recorded during the evaluation, so that no effect has to declare them.
 Letters: E rows, P parameters.
 """
 
@@ -17,19 +17,19 @@ from aerial_gym.physics.effects.track import Track
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
 KEPT = 2
-"""Answers kept to each question: first the one that stood most, for the model about which others differ."""
+"""Cached results of each function, the most used first: that of the model around which others vary."""
 
 Source = TypeVar("Source", Condition, Track)
 
 
 class _Reader:
-    """Stands for what an effect is told, or for the vehicle in it, and notes what is read of it."""
+    """Proxy of an effect's input, or of the vehicle in it, that records reads."""
 
     def __init__(self, source: object) -> None:
         self.source, self.read = source, dict[str, Any]()
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):  # asked for by pickle and copy, of an object without attributes yet
+        if name.startswith("__"):  # pickle and copy ask an object without attributes yet
             raise AttributeError(name)
         value = getattr(self.source, name)
         return self.read.setdefault(name, _Reader(value) if isinstance(value, Vehicle) else value)
@@ -43,7 +43,7 @@ class _Answer:
 
 
 class Answers(Generic[Source]):
-    """Answers of effects for some rows, whose states stay the same."""
+    """Cached results of effects for rows with constant states."""
 
     def __init__(self) -> None:
         self._answers: dict[Hashable, list[_Answer]] = {}
@@ -51,11 +51,11 @@ class Answers(Generic[Source]):
     def ask(
         self, law: Callable[..., Tensor], source: Source, params: Tensor | None = None, *, place: int = 0
     ) -> Tensor:
-        """Return ``law(source, params)``, an answer that stands or a new one; not to be written to.
+        """Return ``law(source, params)``, cached or new; callers must not write to it.
 
         Args:
-            params: With what it remembers behind them, (E, P). None: ``law(source)``, which has none.
-            place: Tells apart sources for each of which answers are kept.
+            params: Parameters followed by memory, (E, P). None evaluates ``law(source)``.
+            place: Separates the caches of different sources.
         """
         kept = self._answers.setdefault((law, place), [])
         for number, answer in enumerate(kept):
@@ -74,7 +74,7 @@ def _reads_same(read: dict[str, Any], source: object) -> bool:
 
 
 def _same(value: Any, before: Any) -> bool:
-    """Return whether what would be read is what was read; no where that cannot be told, or for NaN."""
+    """Return whether an input equals the recorded one; False for NaN or if unknown."""
     if value is before:
         return True
     if isinstance(before, _Reader):
@@ -82,5 +82,5 @@ def _same(value: Any, before: Any) -> bool:
     if not isinstance(value, Tensor) or not isinstance(before, Tensor):
         return isinstance(value, (float, int, frozenset)) and bool(value == before)
     if value.shape != before.shape or not value.numel() or is_shared(value) != is_shared(before):
-        return False  # shared rows may be worked out in another order
+        return False  # shared rows may sum in another order
     return torch.equal(value[:1], before[:1]) if is_shared(value) else torch.equal(value, before)

@@ -1,4 +1,4 @@
-"""The contract of a physics backend, and the registry in which backends stand by name."""
+"""The interface of physics backends."""
 
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from aerial_gym.physics.substep_hook import SubstepHook
 
 @dataclass(frozen=True, kw_only=True)
 class Capabilities:
-    """What a backend can do."""
+    """Capabilities of a backend."""
 
     devices: tuple[str, ...]  # Types of device, `cpu` or `cuda`
     dtypes: tuple[torch.dtype, ...]  # Float types of the state
@@ -33,7 +33,7 @@ class Capabilities:
 
 
 class EffectsThatRun(Collection[str]):
-    """Names of the effects that can run. An effect is imported when it is asked about: a vehicle has few of them."""
+    """Names of supported effects. An effect is imported at its test, because a vehicle has few."""
 
     def __init__(self, can_run: Callable[[Effect], bool]) -> None:
         self._can_run = can_run
@@ -50,23 +50,23 @@ class EffectsThatRun(Collection[str]):
 
 
 class ControlLaw(Protocol):
-    """What turns an action into rotor commands, once per physics step. The controllers fulfil it."""
+    """Control law: it turns an action into rotor commands, once per physics step. All controllers implement it."""
 
     def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
         """Return commanded rotor speeds [rad/s], (E, R), for actions (E, number of actions)."""
         ...
 
     def fused(self) -> FusedLaw | None:
-        """Return the law as Warp code, or None: it then runs on the torch backend only."""
+        """Return the law as Warp code; None restricts it to the torch backend."""
         ...
 
 
 class PhysicsBackend(Protocol):
-    """Advances a batch of multirotors. ``step`` works in place, so that its tensors can be captured in a graph."""
+    """Engine of a batch of multirotors. ``step`` works in place, so that its tensors can be captured in a graph."""
 
     @property
     def capabilities(self) -> Capabilities:
-        """What it can do."""
+        """Capabilities of this backend."""
         ...
 
     def allocate(
@@ -79,12 +79,12 @@ class PhysicsBackend(Protocol):
         hook: SubstepHook | None = None,
         random: Randomness | None = None,
     ) -> None:
-        """Take model, control law, stepper, ground, what follows each substep of ``step``, and the batch's random numbers.
+        """Set model, control law, integrator, ground, substep hook and random numbers, and allocate all buffers.
 
-        Without random numbers they are those of seed 0. All buffers are made here.
+        Without random numbers, seed 0 counts.
 
         Raises:
-            CapabilityError: If the backend cannot run what is asked, by name.
+            CapabilityError: If the backend lacks a requested capability, which the message names.
         """
         ...
 
@@ -97,33 +97,33 @@ class PhysicsBackend(Protocol):
         ...
 
     def reset(self, mask: Tensor) -> None:
-        """Forget what the backend remembers of the environments in ``mask``, bool (E,)."""
+        """Reset the backend's memory of the environments in ``mask``, bool (E,)."""
         ...
 
     def set_model(self, model: Model) -> None:
-        """Take other parameters of the same shapes."""
+        """Replace the parameters by others of the same shapes."""
         ...
 
     def take_ground_heights(self) -> None:
-        """Take what stands in ``Model.ground_height`` now, where that is a tensor (E, 1)."""
+        """Update the ground heights from ``Model.ground_height`` if that is a tensor (E, 1)."""
         ...
 
     def load(self) -> Tensor | None:
-        """Return direction and rate of the link on which a load hangs, world, (E, 6); None without a load."""
+        """Return direction and rate of the load's link, world, (E, 6); None without a load."""
         ...
 
     def prepare(self, dt: float) -> None:
-        """Make everything that depends on the length of a substep [s]."""
+        """Prepare all values and buffers that depend on the length of a substep [s]."""
         ...
 
     def state_tensors(self) -> dict[str, Tensor]:
-        """Return what must be kept to go on, by name, once prepared: parameters and what effects and control law remember."""
+        """Return the state for a checkpoint, by name, once prepared: parameters, and memory of effects and control law."""
         ...
 
     def parameter_rows(self, model: Model) -> tuple[Tensor, ...]:
-        """Return what it keeps of a model for each environment, (E, ...): plain torch on rows of the model, nothing else."""
+        """Return the stored parameters of a model per environment, (E, ...), as a row function of the model."""
         ...
 
     def parameter_targets(self) -> tuple[Tensor, ...]:
-        """Return where it keeps that, in the same order; whoever writes rows there gives environments other parameters."""
+        """Return the memory of ``parameter_rows``, in the same order; writing its rows changes environments' parameters."""
         ...

@@ -15,12 +15,12 @@ from aerial_gym.physics.catalog import BACKENDS
 from aerial_gym.physics.effects import LearnedResidual
 
 BACKEND_PREFERENCE = ("warp", "torch")
-"""What the backend name ``auto`` tries, in order."""
+"""Backends that ``auto`` tries, in order."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Needs:
-    """What is asked of a backend."""
+    """Needed capabilities of a backend."""
 
     device: torch.device  # Where it runs
     dtype: torch.dtype = torch.float32  # Float type of the state
@@ -34,14 +34,14 @@ class Needs:
 
 
 def needs_of(robot: RobotCfg, device: torch.device, **others: object) -> Needs:
-    """Return what a robot needs, with other fields of ``Needs`` by name."""
+    """Return the needs of a robot, with further fields of ``Needs`` by name."""
     learned = () if robot.learned_residual is None else (LearnedResidual.name,)
     others.setdefault("joints", robot.joints is not None)
     return Needs(device=device, effects=(*robot.effects, *learned), rotors=robot.rotor_traits, **others)  # type: ignore[arg-type]
 
 
 def _lacking(able: Capabilities, needs: Needs) -> Iterator[str]:
-    """Yield what a backend cannot do of what is needed, in words that follow 'cannot'."""
+    """Yield the unmet needs, as words that follow 'cannot'."""
     if needs.device.type not in able.devices:
         yield f"run on {needs.device} (devices: {', '.join(able.devices)})"
     if needs.dtype not in able.dtypes:
@@ -75,11 +75,11 @@ _ROTOR_WORDS = {
 def choose_backend(name: str, *, needs: Needs | None = None) -> PhysicsBackend:
     """Return a new backend by name.
 
-    ``auto`` takes the first registered one of ``BACKEND_PREFERENCE``; where gradients, another float type than float32 or
-    joints are asked for, the first that has them.
+    ``auto`` takes the first registered one of ``BACKEND_PREFERENCE`` that supports the needed gradients, float type and
+    joints.
 
     Raises:
-        CapabilityError: If it lacks something that is needed.
+        CapabilityError: If it does not meet a need.
     """
     if name == "auto":
         present = [candidate for candidate in BACKEND_PREFERENCE if candidate in BACKENDS]
@@ -98,7 +98,7 @@ def _has_type(able: Capabilities, needs: Needs) -> bool:
 
 
 def require(backend: PhysicsBackend, needs: Needs, *, name: str | None = None) -> None:
-    """Raise ``CapabilityError`` that names what a backend cannot do, and the backends that can."""
+    """Raise ``CapabilityError`` for an unmet need, with the backends that meet it."""
     lacking = list(_lacking(backend.capabilities, needs))
     if not lacking:
         return

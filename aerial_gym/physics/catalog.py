@@ -1,4 +1,4 @@
-"""Every physics backend that comes with the package, in one table."""
+"""The table of registered physics backends."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING

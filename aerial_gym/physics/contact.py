@@ -4,20 +4,19 @@ After a step without contact, each sphere that overlaps a surface gets an impuls
 
     p = dt max(0, -k g' - c v'),    g' = g + s dt n.du,    v' = v + n.du,
 
-where g < 0 is its gap and v its normal speed before, du the change of the velocity of its contact point by all impulses, so
-that spring and damper act at the *end* of the step. Friction is the impulse that ends the slip, at most ``mu p`` (Coulomb).
-Position and attitude follow by ``s dt`` times the change of velocity: s = 1 with semi-implicit Euler, which moves with the
-velocity at the end of a step, s = 1/2 with RK4, in which a force held over a step moves the body by half of it, and with Euler
-under added mass, which applies forces half way. A vehicle at rest therefore stays where it is. Spring, damper and gravity
-never add energy to a body that hits a plane without turning, since the potential is convex:
-``V(g') - V(g) <= V'(g') (g' - g)``.
+with its gap g < 0 and normal speed v before, and the change du of its contact point's velocity by all impulses. So spring and
+damper act at the *end* of the step. Friction is the impulse that ends the slip, at most ``mu p`` (Coulomb). Position and
+attitude follow by ``s dt`` times the change of velocity: s = 1 with semi-implicit Euler, which moves with the velocity at the
+end of a step; s = 1/2 with RK4, and with Euler under added mass, which applies forces at the middle. A vehicle at rest
+therefore stays in place. Spring, damper and gravity never add energy to a body that hits a plane without rotation, since the
+potential is convex: ``V(g') - V(g) <= V'(g') (g' - g)``.
 
-All contacts of a body are found together: with the branches held (pushing or not, sticking or sliding along a direction),
-the impulses are linear in the six changes of velocity, which are solved for; then the branches are chosen anew. What sticks has
-the impulse ``q <- q - R slip``, a multiplier with the penalty R, so that it neither creeps nor depends on the order of the
-contacts; it slides if q exceeds ``mu p``. What slides has ``-mu p slip / |slip|``, linearised; it sticks if that turns round.
-These branches can alternate for ever, mostly at fast impacts of several points. Where the friction found would feed energy, the
-solution is replaced by one with ``-min(R, mu p / |slip|) slip``, which cannot, p and the factor being those of the one before.
+All contacts of a body are solved together. For fixed branches (pushing or not, sticking or sliding along a direction), the
+impulses are linear in the six changes of velocity; after each solution the branches are chosen again. A sticking point has the
+impulse ``q <- q - R slip``, a multiplier with the penalty R, so that it neither creeps nor depends on the order of contacts; it
+slides if q exceeds ``mu p``. A sliding one has ``-mu p slip / |slip|``, linearised; it sticks if that reverses. These branches
+can alternate for ever, mostly at fast impacts of several points. If the friction would add energy, the solution is replaced by
+one with ``-min(R, mu p / |slip|) slip``, which cannot, with p and the factor of the previous solution.
 Sources: Catto (2011), Soft Constraints, GDC; Alart and Curnier (1991), A mixed formulation for frictional contact problems
 prone to Newton like solution methods, section 3, whose branches these are.
 Frames: world, z up; spheres in the body frame. Letters: E environments, C contacts.
@@ -41,27 +40,27 @@ from aerial_gym.physics.integrators import MassState
 from aerial_gym.physics.model import Model
 
 ITERATIONS = 6
-"""Solutions of the linear system; in the first one everything sticks."""
+"""Solutions of the linear system; in the first all points stick."""
 
 CAUTIOUS_ITERATIONS = 2
-"""More solutions where friction would feed energy."""
+"""Further solutions if friction would add energy."""
 
 PENALTY = 100.0
-"""R per mass of the body. Each solution leaves a point that sticks with less than 1 / PENALTY of its slip; of larger values
-float32 keeps fewer digits."""
+"""R per mass of the body. Each solution reduces the slip of a sticking point below 1 / PENALTY; larger values lose digits in
+float32."""
 
 POSITION_SHARE = {"euler": 1.0, "rk4": 0.5}
-"""s by integrator: which part of ``dt`` times a change of velocity has moved the body at the end of the step."""
+"""s by integrator: displacement at the end of the step per ``dt`` times the change of velocity."""
 
 
 def position_share(integrator: str, *, in_fluid: bool) -> float:
-    """Return s, which is 1/2 for a vehicle with added mass (``integrators.euler_in_fluid``)."""
+    """Return s of an integrator, 1/2 for a vehicle with added mass (``integrators.euler_in_fluid``)."""
     return 0.5 if in_fluid else POSITION_SHARE[integrator]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contacts:
-    """Where a body may touch surfaces at rest, after a step without contact."""
+    """Possible contacts of a body with surfaces at rest, after a step without contact."""
 
     gap: Tensor  # Signed distance of the surfaces [m], (E, C); those < 0 push
     lever: Tensor  # Contact point from the centre of mass [m], world, (E, C, 3)
@@ -71,9 +70,9 @@ class Contacts:
 def push(
     contacts: Contacts, cfg: ContactCfg, model: Model, state: MassState, *, dt: float, share: float
 ) -> tuple[MassState, Tensor]:
-    """Return the motion with the impulses of all contacts, and their sum [N s], world, (E, 3). Differentiable.
+    """Return the motion after the impulses of all contacts, and their sum [N s], world, (E, 3). Differentiable.
 
-    Rows that touch nothing come back bit for bit.
+    Rows without contact are returned bit for bit.
 
     Args:
         contacts: Gaps, levers and normals in ``state``.
@@ -139,9 +138,7 @@ def _velocity_change(
                 pushes = pushed
                 sticks = torch.where(sticks, _length(rub) <= limit, _dot(slip, heading) > 0.0) & pushes.unsqueeze(-1)
                 backwards = torch.where(heading.any(-1, keepdim=True), -slip, rub)
-                backwards = _times(
-                    along, backwards
-                )  # again: of hardly any slip, rounding leaves as much along the normal
+                backwards = _times(along, backwards)  # again, because of rounding along the normal at very small slip
                 heading = torch.where(sticks, 0.0, backwards / _length(backwards))
                 base = torch.where(sticks, rub, limit * heading)
                 grip = torch.where(sticks, penalty, cautious)
@@ -160,7 +157,7 @@ def _velocity_change(
 
 
 def _skew(vector: Tensor) -> Tensor:
-    """Return the matrices of ``v x``."""
+    """Return the cross-product matrices of vectors."""
     x, y, z = vector.unbind(-1)
     zero = torch.zeros_like(x)
     return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), dim=-1).unflatten(-1, (3, 3))
@@ -179,5 +176,5 @@ def _times(matrix: Tensor, vector: Tensor) -> Tensor:
 
 
 def _length(vector: Tensor) -> Tensor:
-    """Return lengths (..., 1) whose gradient is finite at zero."""
+    """Return lengths (..., 1) with a finite gradient at zero."""
     return (vector * vector).sum(-1, keepdim=True).clamp(min=1e-30).sqrt()

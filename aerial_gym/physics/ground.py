@@ -1,4 +1,4 @@
-"""Flat ground: whether a vehicle touches it and, if asked for, how it pushes back.
+"""Flat ground: the contact test of a vehicle and, on request, the contact force.
 
 Letters: E environments, C collision spheres.
 """
@@ -19,7 +19,7 @@ from aerial_gym.physics.state import BodyState
 
 @dataclass(frozen=True, kw_only=True)
 class LinkShape:
-    """A sphere, a capsule along z or a box of a link, in its axes: what is within a radius of a core."""
+    """A sphere, a capsule along z or a box of a link, in link axes: a core with a radius around it."""
 
     link: int  # The base is 0
     center: tuple[float, float, float]  # From the origin of the link [m]
@@ -30,7 +30,7 @@ class LinkShape:
 
 @dataclass(frozen=True, kw_only=True)
 class LinkShapes:
-    """What of a vehicle that bends touches what."""
+    """Contact shapes of an articulated vehicle, their pairs and the obstacles."""
 
     links: tuple[int, ...]  # Link of each sphere that can touch the ground, the base being 0, (C,)
     shapes: tuple[LinkShape, ...] = ()  # Shapes that can touch each other, or obstacles
@@ -40,7 +40,7 @@ class LinkShapes:
 
 @dataclass(frozen=True, kw_only=True)
 class Ground:
-    """A horizontal plane and what of the vehicle can touch it."""
+    """A horizontal plane, and the shapes of the vehicle that can touch it."""
 
     height: float
     """Of the plane [m], world; minus infinity where obstacles alone push a vehicle that bends."""
@@ -73,12 +73,12 @@ def touches_ground(ground: Ground, state: BodyState) -> Tensor:
 def push_off_ground(
     ground: Ground, cfg: ContactCfg, model: Model, before: MassState, after: MassState, *, dt: float, share: float
 ) -> tuple[MassState, Tensor, Tensor]:
-    """Return the motion with contact, the impulse of the ground [N s], world, (E, 3), and which crash, bool (E,).
+    """Return the motion with contact, the impulse of the ground [N s], world, (E, 3), and crash flags, bool (E,).
 
     Args:
         model: Mass, inertia and centre of mass.
-        before: Motion at the start of the step, whose velocities say how fast the vehicle comes.
-        after: Motion at its end, without contact.
+        before: Motion at the start of the step, which gives the approach speed.
+        after: Motion at the end without contact.
         dt: Length of the step [s].
         share: From ``contact.position_share``.
     """
@@ -89,7 +89,7 @@ def push_off_ground(
 
 
 def ground_contacts(ground: Ground, model: Model, state: MassState) -> Contacts:
-    """Return where a vehicle may touch the ground: a contact for every sphere."""
+    """Return the possible contacts of a vehicle with the ground, one for every sphere."""
     spheres = ground.spheres.to(state.position.dtype)
     center = spheres[:, :3] - model.vehicle.com.unsqueeze(1)
     offset = quat_rotate(state.attitude.unsqueeze(1), center)
@@ -100,7 +100,7 @@ def ground_contacts(ground: Ground, model: Model, state: MassState) -> Contacts:
 
 
 def crash_at(contacts: Contacts, cfg: ContactCfg, before: MassState, after: MassState) -> Tensor:
-    """Return whether a contact after a step is a crash, bool (E,): it came at ``cfg.crash_speed`` or faster before the step."""
+    """Return whether a contact after a step is a crash, bool (E,): its approach speed was at least ``cfg.crash_speed``."""
     lever = contacts.lever
     turn = quat_rotate(after.attitude, before.ang_vel).unsqueeze(1).expand_as(lever)
     approach = -(before.lin_vel.unsqueeze(1) + torch.linalg.cross(turn, lever))[..., 2]
@@ -108,5 +108,5 @@ def crash_at(contacts: Contacts, cfg: ContactCfg, before: MassState, after: Mass
 
 
 def is_crash(gap: Tensor, approach: Tensor, cfg: ContactCfg) -> Tensor:
-    """Return whether any gap (E, C) [m] is a touch that came fast enough [m/s], (E, C), to be a crash, bool (E,)."""
+    """Return whether any contact with gap [m] and approach speed [m/s], (E, C) each, is a crash, bool (E,)."""
     return ((gap < 0.0) & (approach >= cfg.least_approach)).any(dim=1)

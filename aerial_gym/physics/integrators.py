@@ -1,4 +1,4 @@
-"""Steppers of the equations of motion. The rotors follow their exact solution in each of them.
+"""Integrators of the equations of motion, each with the exact solution of the rotors.
 
 The state is that of the centre of mass (``MassState``), where Newton's and Euler's equations decouple; ``to_mass_state``
 and ``to_body_state`` go from and to the body origin. Letters: E environments, R rotors.
@@ -43,7 +43,7 @@ Stepper = Callable[[Model, MassState, RotorCommand, float], MassState]
 
 
 def to_mass_state(model: Model, state: BodyState, load: Tensor | None = None) -> MassState:
-    """Return the motion of the centre of mass, ``p_c = p_o + R c``, ``v_c = v_o + R (w x c)``, with that of a load (E, 6)."""
+    """Return the motion of the centre of mass, ``p_c = p_o + R c``, ``v_c = v_o + R (w x c)``, with a load's (E, 6)."""
     com = model.vehicle.com
     return MassState(
         position=state.position + quat_rotate(state.attitude, com),
@@ -73,7 +73,7 @@ def _derivative(model: Model, state: MassState, rotor_acc: Tensor) -> tuple[Tens
 
 
 def _accelerated(model: Model, state: MassState, wrench: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the accelerations under a force and a torque, with those of the load."""
+    """Return the accelerations of vehicle and load under a force and a torque."""
     (force, torque), attitude, ang_vel = wrench, state.attitude, state.ang_vel
     acc, ang_acc = com_acceleration(model, attitude, force), angular_acceleration(model, ang_vel, torque)
     return with_load(model, attitude, ang_vel, state.load, acc, ang_acc)
@@ -82,31 +82,30 @@ def _accelerated(model: Model, state: MassState, wrench: tuple[Tensor, Tensor]) 
 def held_wrench(
     model: Model, state: MassState, rotor_command: RotorCommand, dt: float
 ) -> tuple[Tensor, tuple[Tensor, Tensor]]:
-    """Return the rotor speeds after a step (E, R), and the wrench that a stepper of order 1 holds over it.
+    """Return the rotor speeds after a step (E, R), and the constant wrench of a first-order integrator.
 
-    Rotors are those of the end of the step, the motion that of its start.
+    It combines the rotors at the end of the step with the motion at its start.
 
     Args:
         dt: Length of the step [s].
 
     Returns:
-        Speeds [rad/s], and the pair of all force but gravity and the pull of a load [N] and the torque about the centre of
-        mass [N m], body, each (E, 3).
+        Speeds [rad/s], and force without gravity and load [N] with torque about the centre of mass [N m], body, each (E, 3).
     """
     position, attitude, lin_vel, ang_vel, before, _ = vars(state).values()
     rotor_speed = follow_command(model.vehicle, before, rotor_command, dt)
-    rotor_acc = (rotor_speed - before) / dt  # over the step: the momentum that the rotors gain is exact
+    rotor_acc = (rotor_speed - before) / dt  # the mean over the step makes the rotors' momentum exact
     return rotor_speed, body_wrench(model, position, attitude, lin_vel, ang_vel, rotor_speed, rotor_acc)
 
 
 def swing_on(load: Tensor, swing: Tensor, dt: float) -> Tensor:
-    """Return direction and rate of the link of a load, (E, 6), after a semi-implicit step under n'' [1/s²], (E, 3)."""
+    """Return direction and rate of a load's link, (E, 6), after a semi-implicit step under n'' [1/s²], (E, 3)."""
     rate = load[:, 3:] + dt * swing
     return _settle(torch.cat((load[:, :3] + dt * rate, rate), dim=-1))
 
 
 def _settle(load: Tensor) -> Tensor:
-    """Return direction and rate of a link with ``|n| = 1``, ``n . n' = 0``."""
+    """Normalise direction and rate of a link to ``|n| = 1``, ``n . n' = 0``."""
     if load.shape[1] == 0:
         return load
     direction = load[:, :3] / load[:, :3].norm(dim=-1, keepdim=True)
@@ -117,7 +116,7 @@ def _settle(load: Tensor) -> Tensor:
 def semi_implicit_euler(model: Model, state: MassState, rotor_command: RotorCommand, dt: float) -> MassState:
     """Return the state after one step of order 1: velocities first, then positions with the new velocities.
 
-    The attitude is turned by the exact rotation ``exp(w dt)``. Source: Hairer, Lubich, Wanner (2006), Geometric Numerical
+    The attitude follows the exact rotation ``exp(w dt)``. Source: Hairer, Lubich, Wanner (2006), Geometric Numerical
     Integration, I.1.2 (symplectic Euler). With added mass it is ``euler_in_fluid``.
     """
     if model.effects[FluidEffect]:
@@ -138,8 +137,8 @@ def semi_implicit_euler(model: Model, state: MassState, rotor_command: RotorComm
 def euler_in_fluid(model: Model, state: MassState, rotor_command: RotorCommand, dt: float) -> MassState:
     """Return the state after one step of a hull with added mass: coast half the step, apply all impulses, coast the rest.
 
-    Without force it keeps energy, impulse and moment of impulse of hull and fluid (``physics.kirchhoff``). Forces are those
-    half way. The error is of order 2 under forces that depend on position and attitude alone, else of order 1.
+    Without force it conserves energy, impulse and moment of impulse of hull and fluid (``physics.kirchhoff``). Forces are
+    evaluated at the middle. The method has order 2 for forces of position and attitude only, else order 1.
     Source: Hairer, Lubich, Wanner (2006), Geometric Numerical Integration, II.5 (Strang splitting).
     """
     middle = coast(model, state, 0.5 * dt)
@@ -159,7 +158,7 @@ def euler_in_fluid(model: Model, state: MassState, rotor_command: RotorCommand, 
 
 
 def coast(model: Model, state: MassState, dt: float) -> MassState:
-    """Return the state after a time [s] without force of a hull with added mass; a load moves on at its rate."""
+    """Return the state of a hull with added mass after a time [s] without force; a load moves on at its rate."""
     ((effect, params),) = model.effects[FluidEffect]
     attitude, load = state.attitude, state.load
     through = air_velocity(model, state.position, attitude, state.lin_vel)
@@ -176,7 +175,7 @@ def coast(model: Model, state: MassState, dt: float) -> MassState:
 
 
 def free_wrench(model: Model, state: MassState) -> tuple[Tensor, Tensor]:
-    """Return force [N] and torque [N m], body, each (E, 3), under which a hull alone would move as it does coasting."""
+    """Return force [N] and torque [N m], body, each (E, 3), that give a hull without fluid the motion of ``coast``."""
     ((effect, params),) = model.effects[FluidEffect]
     v, w = air_velocity(model, state.position, state.attitude, state.lin_vel), state.ang_vel
     added, mass = effect.added_mass(params), model.vehicle.mass.unsqueeze(-1)
@@ -224,4 +223,4 @@ def _advance(state: MassState, slope: tuple[Tensor, ...] | list[Tensor], dt: flo
 
 
 INTEGRATORS: dict[str, Stepper] = {"euler": semi_implicit_euler, "rk4": rk4}
-"""Steppers by the name that a user chooses."""
+"""Integrators by their public names."""

@@ -1,13 +1,13 @@
-"""Free motion of a hull and the water that it sets in motion: Kirchhoff's equations by the implicit midpoint rule.
+"""Free motion of a hull with added mass: Kirchhoff's equations by the implicit midpoint rule.
 
 With mass ``M = m + M_A`` along the body axes, v through water in steady uniform motion and no force::
 
     p' = p x w,    l' = l x w + p x v,    p = M v,    l = J w        body axes
 
-Impulse ``R p``, its moment ``R l + x x R p`` and the energy ``(p . v + l . w) / 2`` are constant. The midpoint rule keeps what
-is quadratic in p and l. With the Cayley rotation of its mean w, and the place that follows, it keeps all three for every step.
+Impulse ``R p``, its moment ``R l + x x R p`` and the energy ``(p . v + l . w) / 2`` are constant. The midpoint rule conserves
+quadratic invariants of p and l. With the Cayley rotation of its mean w, and the matching position, it conserves all three.
 Source: Lamb (1932), Hydrodynamics, articles 121-124; Hairer, Lubich, Wanner (2006), Geometric Numerical Integration, IV.2.1
-(quadratic invariants); Cayley rotation and place: derived. With ``a = dt w / 2`` the rotation is ``(1 - [a])^-1 (1 + [a])``.
+(quadratic invariants); Cayley rotation and position: derived. With ``a = dt w / 2`` the rotation is ``(1 - [a])^-1 (1 + [a])``.
 """
 
 import torch
@@ -17,7 +17,7 @@ from aerial_gym.math.short import dot, inverse_3x3
 from aerial_gym.physics.rigid_body import multiply_rows
 
 ITERATIONS = 5
-"""Newton steps for the mean angular velocity. Each squares the error, which begins at ``dt / 2`` times the acceleration."""
+"""Newton steps for the mean angular velocity. Each squares the error, initially ``dt / 2`` times the acceleration."""
 
 cross = torch.linalg.cross
 
@@ -25,7 +25,7 @@ cross = torch.linalg.cross
 def coasted(
     mass: Tensor, inertia: Tensor, lin_vel: Tensor, ang_vel: Tensor, dt: float
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return the changes of motion in a step without force. Changes are small, so that float32 keeps what is conserved.
+    """Return the changes of motion in a step without force; as small numbers they conserve the invariants in float32.
 
     Args:
         mass: Of hull and water along the body axes [kg], (E, 3).
@@ -35,9 +35,9 @@ def coasted(
         dt: Length of the step [s].
 
     Returns:
-        In body axes of the start what the displacement is beyond that at the velocity of the start [m], (E, 3), and the change
-        of the velocity [m/s], (E, 3); the quaternion of the rotation, not normalised, xyzw, (E, 4); the angular velocity at the
-        end [rad/s], body axes of the end, (E, 3).
+        In body axes of the start: the displacement beyond that of the initial velocity [m], (E, 3), and the change of velocity
+        [m/s], (E, 3). Then the unnormalised quaternion of the rotation, xyzw, (E, 4), and the final angular velocity [rad/s],
+        body axes of the end, (E, 3).
     """
     mean = _mean_ang_vel(mass, inertia, lin_vel, ang_vel, dt)
     a = 0.5 * dt * mean

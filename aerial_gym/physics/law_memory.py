@@ -1,8 +1,8 @@
-"""What a control law remembers of each environment between substeps: integrators, filters, held and late commands.
+"""Memory of a control law between substeps: integrators, filters, held and delayed commands.
 
-As with the memory of effects, a backend keeps it, and resets it by mask. It is kept apart from theirs, so that a law without
-memory costs nothing.
-Letters: E environments, M remembered numbers, P numbers on their way.
+A backend stores it and resets it by mask, like the memory of effects, but separately, so that a law without memory costs
+nothing.
+Letters: E environments, M numbers of memory, P delayed numbers.
 """
 
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ from aerial_gym.physics.state import BodyState
 
 @dataclass(frozen=True, kw_only=True)
 class LawNeeds:
-    """What a law must be given to remember."""
+    """Memory that a law needs."""
 
     width: int  # Numbers M; all are zero after a reset
     past: int  # Numbers P in rings: commands on their way. Not cleared: `since` says which are not to be read
@@ -33,17 +33,17 @@ class LawMemory:
     since: Tensor  # Physics steps since the reset, int32, (E,)
 
     def tensors(self) -> dict[str, Tensor]:
-        """Return what changes from substep to substep, by name."""
+        """Return the tensors that change in a substep, by name."""
         return {"numbers": self.numbers, "past": self.past, "since": self.since}
 
 
 def needs_of(law: object) -> LawNeeds | None:
-    """Return what a law must be given to remember, or None: it remembers nothing."""
+    """Return the memory that a law needs; None without memory."""
     return getattr(law, "needs", None)
 
 
 def fresh_law_memory(needs: LawNeeds, num_envs: int, like: Tensor) -> LawMemory:
-    """Return the memory of environments that have just been reset; float type and device are those of ``like``."""
+    """Return the memory of environments after a reset, with float type and device of ``like``."""
     return LawMemory(
         numbers=like.new_zeros(num_envs, needs.width),
         past=like.new_zeros(num_envs, needs.past),
@@ -52,7 +52,7 @@ def fresh_law_memory(needs: LawNeeds, num_envs: int, like: Tensor) -> LawMemory:
 
 
 def forget_law(memory: LawMemory, mask: Tensor) -> LawMemory:
-    """Return the memory (E, ...) with the environments in ``mask``, bool (E,), as after a reset; others stay bit for bit."""
+    """Return the memory (E, ...) with the environments in ``mask``, bool (E,), reset; others stay bit for bit."""
     return replace(
         memory,
         numbers=memory.numbers.masked_fill(mask.unsqueeze(-1), 0.0),
@@ -63,14 +63,14 @@ def forget_law(memory: LawMemory, mask: Tensor) -> LawMemory:
 def law_command(
     law: Any, state: BodyState, action: Tensor, memory: LawMemory | None
 ) -> tuple[Tensor, LawMemory | None]:
-    """Return the rotor speeds (E, R) that a law commands [rad/s], with or without memory, and the memory after it."""
+    """Return the commanded rotor speeds (E, R) [rad/s] of a law with or without memory, and its new memory."""
     if memory is None:
         return law.rotor_command(state, action), None
     return law.command(state, action, memory)
 
 
 def check_law_step(needs: LawNeeds, dt: float) -> None:
-    """Raise ``ConfigError`` if a law is run at another time step than it was built for."""
+    """Raise ``ConfigError`` for a time step other than that of the law."""
     if abs(dt - needs.dt) > 1e-9 * needs.dt:
         raise ConfigError(
             f"the control law was built for steps of {needs.dt:g} s, but the physics takes {dt:g} s. Build it anew"

@@ -51,9 +51,9 @@ def make_memory(model: Model, dt: float, *, random: Randomness | None = None) ->
 
 
 def forget(memory: Memory, mask: Tensor) -> Memory:
-    """Return the memory with the environments in ``mask``, bool (E,), as after a reset; others stay bit for bit.
+    """Return the memory with the environments in ``mask``, bool (E,), reset; others stay bit for bit.
 
-    Commands of before are not cleared: ``since`` says that they are not to be read.
+    Older commands are not cleared, because ``since`` excludes them.
     """
     numbers = torch.where(mask.unsqueeze(-1), memory.initial, memory.numbers)
     return replace(memory, numbers=numbers, since=memory.since.masked_fill(mask, 0))
@@ -65,7 +65,7 @@ def begin_substep(
     """Return the model with its memory, the commands that the rotors follow, and the memory of a substep.
 
     Args:
-        memory: At the end of the substep before.
+        memory: Memory after the previous substep.
         rotor_speed: Rotor speeds [rad/s], (E, R).
         command: Commanded rotor speeds in this substep [rad/s], (E, R); or a ramp of known speeds, on which no effect on
             commands acts.
@@ -110,7 +110,7 @@ def _delayed(model: Model, memory: Memory, rotor_speed: Tensor, dt: float) -> Su
 
 
 def load_of(model: Model, memory: Memory) -> Tensor:
-    """Return direction and rate of the link of the load, (E, 6), or (E, 0) without one."""
+    """Return direction and rate of the load's link, (E, 6), or (E, 0) without a load."""
     width = sum(len(effect.memory) for effect, _ in model.effects[LoadEffect])
     return memory.numbers[:, memory.numbers.shape[1] - width :]
 

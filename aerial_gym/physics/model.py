@@ -1,4 +1,4 @@
-"""A vehicle with its effects: everything that decides how it accelerates.
+"""The model: a vehicle with its effects and surroundings, which determine its accelerations.
 
 Frames: body is x forward, y left, z up; world is z up. Letters: E environments, R rotors, P parameters of an effect.
 """
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
-    """The vehicle as it really is, and the forces beside its rotors."""
+    """The actual vehicle with the effects on it."""
 
     vehicle: Vehicle
     """With the effects on its parameters applied."""
@@ -81,12 +81,12 @@ class Model:
 
     @property
     def longest_delay(self) -> float:
-        """Span of which commands must be remembered [s]."""
+        """Longest delay of commands [s]."""
         return max((effect.longest for effect, _ in self.effects[DelayEffect]), default=0.0)
 
 
 def bends_of(robot: RobotCfg, *, like: Tensor) -> "Articulation | None":
-    """Return what ``articulation_of`` does; of a rigid robot None, without an import of all that moves joints."""
+    """Return ``articulation_of`` a robot; None for a rigid one, without importing the articulated engine."""
     if robot.joints is None:
         return None
     from aerial_gym.physics.articulated.articulation import articulation_of
@@ -104,21 +104,19 @@ def build_model(
     other_position: Tensor | None = None,
     articulation: "Articulation | None" = None,
 ) -> Model:
-    """Return the model of a declared vehicle with effects added; differentiable in vehicle and parameters.
+    """Build the model of a declared vehicle with effects; differentiable in vehicle and parameters.
 
     Args:
         effects: With their parameters (E, P).
         gravity: Downward acceleration of free fall [m/s²].
-        ground_height: Height of the ground [m], world; (E, 1) where it differs.
-        ceiling_height: Height of the ceiling [m], world; (E, 1) where it differs, which plain torch alone can do; None where
-            there is none.
-        other_position: Another vehicle, whose wake streams down [m], world, (E, 3); if not given, infinitely high over the
-            origin.
-        articulation: How the vehicle bends, which is then that of the reference pose; None for a rigid one.
+        ground_height: Height of the ground [m], world, scalar or (E, 1).
+        ceiling_height: Height of the ceiling [m], world, scalar or, on the torch backend only, (E, 1); None without ceiling.
+        other_position: Another vehicle with a downwash [m], world, (E, 3); by default infinitely high over the origin.
+        articulation: Joints of the vehicle, whose parameters are those of the reference pose; None for a rigid one.
 
     Raises:
         ShapeError: If the parameters of an effect are not (E, P).
-        ConfigError: If an effect lacks something of the scene, or if two want what only one can have.
+        ConfigError: If an effect lacks an input of the scene, or two effects exclude each other.
     """
     _check_scene(effects, ceiling_height)
     if other_position is None:
@@ -150,7 +148,7 @@ def in_steady_wind(model: Model, velocity: Tensor) -> Model:
 
 
 def check_rotors(effect: Effect | type[Effect], traits: Set[str]) -> None:
-    """Raise ``ConfigError`` if rotors are of a kind that an effect cannot act on (``docs/concepts/rotors.md``)."""
+    """Raise ``ConfigError`` for rotors of a kind that an effect does not support (``docs/concepts/rotors.md``)."""
     if missing := sorted(traits - set(effect.rotors)):
         raise ConfigError(
             f"effect {effect.name}: its law does not hold for {_TRAIT_WORDS[missing[0]]}. Leave the effect out, or give the "
@@ -159,7 +157,7 @@ def check_rotors(effect: Effect | type[Effect], traits: Set[str]) -> None:
 
 
 def check_joints(effect: Effect | type[Effect], *, bends: bool) -> None:
-    """Raise ``ConfigError`` if an effect does not fit a vehicle with joints, or one without."""
+    """Raise ``ConfigError`` for an effect that does not suit a vehicle with joints, or a rigid one."""
     others = " or ".join(", ".join(effect.instead).rsplit(", ", 1))
     if not bends and not effect.on_rigid:
         way_out = f"Give it {others}, or joints" if others else "Give it joints"
@@ -213,9 +211,9 @@ def effects_from_config(
     dtype: torch.dtype,
     robot: RobotCfg | None = None,
 ) -> list[EffectParams]:
-    """Return the effects named in a robot file with their parameters in every environment.
+    """Return the effects of a robot file with their parameters in every environment.
 
-    ``robot`` is whose file it is; effects with parameters of its parts need it.
+    Effects with parameters for parts of the robot need ``robot``.
 
     Raises:
         UnknownNameError: If an effect is not registered.
@@ -232,9 +230,9 @@ def effects_from_config(
 def robot_effects(
     robot: RobotCfg, *, num_envs: int, device: torch.device, dtype: torch.dtype, rigid: bool = False
 ) -> list[EffectParams]:
-    """Return all that acts on a robot beyond rigid body and rotors: its effects, and what was learned of the rest.
+    """Return the effects of a robot, with its learned residual.
 
-    With ``rigid`` it is taken as rigid in its reference pose, where effects on links do nothing.
+    With ``rigid`` the robot counts as rigid in its reference pose, and effects on links are omitted.
     """
     effects = effects_on_rigid(robot) if rigid else robot.effects
     found = effects_from_config(effects, num_envs=num_envs, device=device, dtype=dtype, robot=robot)
@@ -245,14 +243,14 @@ def robot_effects(
 
 
 def effects_on_rigid(robot: RobotCfg) -> dict[str, Mapping[str, float]]:
-    """Return the effects of a robot file that act where a vehicle with joints is taken as rigid in its reference pose."""
+    """Return the effects of a robot file that act on a vehicle taken as rigid in its reference pose."""
     return {
         name: values for name, values in robot.effects.items() if robot.joints is None or EFFECTS.get(name).on_rigid
     }
 
 
 def check_effects(robot: RobotCfg) -> None:
-    """Raise the errors of ``effects_from_config`` without making a tensor, and what an effect misses in the robot file."""
+    """Raise the errors of ``effects_from_config``, and those of missing inputs in the robot file, without making tensors."""
     for name, values in robot.effects.items():
         effect = EFFECTS.get(name).bind_robot(robot)
         check_rotors(effect, robot.rotor_traits)

@@ -1,4 +1,4 @@
-"""Newton-Euler equations of a multirotor about its centre of mass, and what an accelerometer at the origin feels.
+"""Newton-Euler equations of a multirotor about its centre of mass, and the specific force at its origin.
 
 Pure functions of tensors. Frames: body is x forward, y left, z up; world is z up.
 Letters: E environments, R rotors. Subscripts: o body origin, c centre of mass.
@@ -58,7 +58,7 @@ def body_wrench(
     rotor_speed: Tensor,
     rotor_acc: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Return all force but gravity [N] and torque about the centre of mass [N m], body, each (E, 3).
+    """Return the force without gravity [N] and the torque about the centre of mass [N m], body, each (E, 3).
 
     Args:
         position: Centre of mass [m], world, (E, 3).
@@ -76,17 +76,17 @@ def body_wrench(
 
 
 MOVES_OF_VEHICLE = ("com", "rotor_position", "rotor_axis")
-"""What of the vehicle the motion in a condition is worked out from."""
+"""Fields of the vehicle that determine the motion in a condition."""
 
 _THRUST_MAPS = ("thrust_map", "reverse_thrust_map")
-"""What else of it a condition is worked out from; the rest can only be read there."""
+"""Further fields that determine a condition; all others are only read there."""
 
 
 def condition_in(model: Model, state: BodyState, rotor_acc: Tensor) -> Condition:
-    """Return what effects see in a state, in which the rotors accelerate by ``rotor_acc`` [rad/s²], (E, R).
+    """Return the condition of effects in a state, with rotor accelerations ``rotor_acc`` [rad/s²], (E, R).
 
-    Of the model it holds vehicle, wind and surroundings: it is the same for models that differ in other effects alone, and
-    ``condition_for`` gives it for those whose vehicles do not differ in ``MOVES_OF_VEHICLE``.
+    It depends on vehicle, wind and surroundings only, so models that differ in other effects share it. ``condition_for``
+    adapts it to vehicles with equal ``MOVES_OF_VEHICLE``.
     """
     com, turn = model.vehicle.com, state.attitude
     position = state.position + quat_rotate(turn, com)
@@ -95,10 +95,10 @@ def condition_in(model: Model, state: BodyState, rotor_acc: Tensor) -> Condition
 
 
 def condition_at_origin(model: Model, state: BodyState, rotor_acc: Tensor) -> Condition:
-    """Return what effects at hubs see (``WrenchEffect.at_hubs``), told of the body origin as if the centre of mass were there.
+    """Return the condition of effects at hubs (``WrenchEffect.at_hubs``) with the body origin as centre of mass.
 
-    The hubs move as they do, so that forces are the same; torques are about the origin. It is the same for models that differ
-    in their centre of mass, but for a wind that depends on where that is.
+    The motion of the hubs is unchanged, so forces are too; torques are about the origin. Models that differ in their centre of
+    mass share it, except for a wind that depends on position.
     """
     com, turn = model.vehicle.com, state.attitude
     found = _condition_in(
@@ -115,7 +115,7 @@ def condition_at_origin(model: Model, state: BodyState, rotor_acc: Tensor) -> Co
 
 
 def condition_for(vehicle: Vehicle, known: Condition) -> Condition:
-    """Return a condition for a vehicle that differs in nothing of ``MOVES_OF_VEHICLE`` from that for which it is known."""
+    """Adapt a known condition to a vehicle with equal ``MOVES_OF_VEHICLE``."""
     maps = [(getattr(vehicle, name), getattr(known.vehicle, name)) for name in _THRUST_MAPS]
     same = all(is_shared(old) and is_same_row(new, old) for new, old in maps)
     return known.of_vehicle(vehicle, known.rotor_thrust if same else rotor_thrust(vehicle, known.rotor_speed))
@@ -130,7 +130,7 @@ def _condition_in(
     rotor_speed: Tensor,
     rotor_acc: Tensor,
 ) -> Condition:
-    """Return what effects see; arguments as for ``body_wrench``."""
+    """Return the condition of effects; arguments as for ``body_wrench``."""
     return Condition(
         position=position,
         attitude=attitude,
@@ -148,7 +148,7 @@ def _condition_in(
 
 @dataclass(frozen=True, kw_only=True)
 class Acting:
-    """What acts on the body, one by one; all together are its force and torque, but for gravity."""
+    """Contributions to force and torque on the body, without gravity."""
 
     thrust: Tensor
     """Of the rotors by themselves [N], (E, R)."""
@@ -164,7 +164,7 @@ class Acting:
 
     @cached_property
     def whole_thrust(self) -> Tensor:
-        """Return the thrusts with the effects [N], (E, R)."""
+        """Return the thrusts including effects [N], (E, R)."""
         return sum((more for _, more in self.thrusts), self.thrust)
 
 
@@ -176,12 +176,12 @@ def acting_in(
     apart: bool = False,
     hubs: Condition | None = None,
 ) -> Acting:
-    """Return what acts on the body in a condition, without a fluid or a load, which depend on the sum of it.
+    """Return the contributions to the wrench in a condition, without fluid and load, which depend on their sum.
 
     Args:
-        answers: Those of effects in this state under other models.
-        apart: Asks for ``Acting.linear``.
-        hubs: What effects at hubs see in its place (``condition_at_origin``): their torques are about the body origin then.
+        answers: Cached results of effects in this state.
+        apart: Whether to return ``Acting.linear``.
+        hubs: Condition of effects at hubs (``condition_at_origin``), whose torques are then about the body origin.
     """
     hubs = condition if hubs is None else hubs
 
@@ -201,7 +201,7 @@ def acting_in(
 
 
 def with_fluid(model: Model, condition: Condition, acting: Acting) -> Acting:
-    """Return what acts on the body with fluids that it sets in motion, which depend on the sum of it."""
+    """Add the contributions of fluids with added mass, which depend on the sum of all others."""
     if not model.effects[FluidEffect]:
         return acting
     change = torch.cat(_wrench_of(model, condition, acting), dim=-1) - torch.cat(
@@ -211,12 +211,12 @@ def with_fluid(model: Model, condition: Condition, acting: Acting) -> Acting:
 
 
 def _wrench_in(model: Model, condition: Condition, answers: Answers[Condition] | None = None) -> tuple[Tensor, Tensor]:
-    """Return all force but gravity [N] and torque about the centre of mass [N m], body, each (E, 3)."""
+    """Return the force without gravity [N] and the torque about the centre of mass [N m], body, each (E, 3)."""
     return _wrench_of(model, condition, acting_in(model, condition, answers))
 
 
 def _wrench_of(model: Model, condition: Condition, acting: Acting) -> tuple[Tensor, Tensor]:
-    """Return force [N] and torque [N m] of what acts, with a fluid that it sets in motion, body, each (E, 3)."""
+    """Return total force [N] and torque [N m] with added mass, body, each (E, 3)."""
     force, torque = _summed(model, condition, acting)
     for effect, params in model.effects[FluidEffect]:
         condition = condition.with_thrust(acting.whole_thrust)
@@ -226,7 +226,7 @@ def _wrench_of(model: Model, condition: Condition, acting: Acting) -> tuple[Tens
 
 
 def _summed(model: Model, condition: Condition, acting: Acting) -> tuple[Tensor, Tensor]:
-    """Return force [N] and torque [N m] of what acts, body, each (E, 3)."""
+    """Return the sum of forces [N] and torques [N m], body, each (E, 3)."""
     drag = rotor_torque(model.vehicle, condition.rotor_speed)
     force, torque = rotor_wrench(model.vehicle, acting.whole_thrust, drag)
     of_linear = (linear_wrench(regressor, params) for _, regressor, params in acting.linear)
@@ -250,10 +250,10 @@ def com_acceleration(model: Model, attitude: Tensor, force: Tensor) -> Tensor:
 def with_load(
     model: Model, attitude: Tensor, ang_vel: Tensor, load: Tensor, acc: Tensor, ang_acc: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return accelerations of the vehicle with the load that hangs on it, and n'' of the load [1/s²], each (E, 3).
+    """Return the accelerations of a vehicle with its load, and n'' of the load [1/s²], each (E, 3).
 
     Args:
-        model: Vehicle and effects; without a load the accelerations come back, and an empty n'' (E, 0).
+        model: Vehicle and effects; without a load the accelerations are returned with an empty n'' (E, 0).
         attitude: Body to world, xyzw, (E, 4).
         ang_vel: Angular velocity [rad/s], body, (E, 3).
         load: Direction n of the link and its rate n' [1/s], world, (E, 6).
@@ -268,7 +268,7 @@ def with_load(
 
 
 def hull_force(model: Model, attitude: Tensor, force: Tensor) -> Tensor:
-    """Return the force [N] that would accelerate the hull alone as ``force`` does hull and fluid, world, (E, 3)."""
+    """Return the force [N], world, (E, 3), that gives the hull without fluid the acceleration under ``force`` with fluid."""
     if not model.effects[FluidEffect]:
         return force
     mass = model.vehicle.mass.unsqueeze(-1)
@@ -277,7 +277,7 @@ def hull_force(model: Model, attitude: Tensor, force: Tensor) -> Tensor:
 
 
 def _added_mass(model: Model) -> Tensor:
-    """Return the mass of fluid that moves with the hull along each body axis [kg], (E, 3)."""
+    """Return the added mass along each body axis [kg], (E, 3)."""
     added = torch.zeros_like(model.vehicle.com)
     for effect, params in model.effects[FluidEffect]:
         added = added + effect.added_mass(params)
@@ -287,7 +287,7 @@ def _added_mass(model: Model) -> Tensor:
 def pull_of_load(
     model: Model, attitude: Tensor, ang_vel: Tensor, load: Tensor, acc: Tensor, ang_acc: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return how a load pulls its vehicle; arguments as for ``with_load``, of a model that has a load.
+    """Return force and torque of a load on its vehicle; arguments as for ``with_load``, of a model with a load.
 
     Returns:
         Force [N], world, its torque about the centre of mass [N m], body, and n'' of the load [1/s²], each (E, 3).
@@ -302,7 +302,7 @@ def pull_of_load(
 
 
 def suspension_at(model: Model, attitude: Tensor, acceleration: Tensor) -> Suspension:
-    """Return how the body origin yields to a load, which without one would accelerate so [m/s²], world, (E, 3)."""
+    """Return the suspension of a load at the body origin, which has ``acceleration`` [m/s²], world, (E, 3), without it."""
     cross = _skew(-model.vehicle.com)
     mobility = -cross @ model.inertia_inverse @ cross
     mobility = mobility + torch.diag_embed(1.0 / (model.vehicle.mass.unsqueeze(-1) + _added_mass(model)))
@@ -311,21 +311,21 @@ def suspension_at(model: Model, attitude: Tensor, acceleration: Tensor) -> Suspe
 
 
 def pull_at(model: Model, attitude: Tensor, suspension: Suspension, load: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return force, torque and n'' as ``pull_of_load`` does, of a load that hangs on a suspension."""
+    """Return force, torque and n'' of a load on a suspension, as ``pull_of_load``."""
     ((effect, params),) = model.effects[LoadEffect]
     force, swing = effect.pull(suspension, load, params)
     return force, torch.linalg.cross(-model.vehicle.com, quat_rotate_inverse(attitude, force)), swing
 
 
 def _skew(vector: Tensor) -> Tensor:
-    """Return the matrices of ``v x``, (E, 3, 3)."""
+    """Return the cross-product matrices of vectors, (E, 3, 3)."""
     x, y, z = vector.unbind(-1)
     zero = torch.zeros_like(x)
     return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), dim=-1).unflatten(-1, (3, 3))
 
 
 def with_memory(model: Model, remembered: Mapping[str, Tensor]) -> Model:
-    """Return the model with what effects remember behind their parameters."""
+    """Return the model with the effects' memory appended to their parameters."""
 
     def joined(effect: Effect, params: Tensor) -> Tensor:
         return torch.cat((params, remembered[effect.name]), dim=-1) if effect.name in remembered else params
@@ -335,7 +335,7 @@ def with_memory(model: Model, remembered: Mapping[str, Tensor]) -> Model:
 
 @dataclass(frozen=True, kw_only=True)
 class Accelerations:
-    """What inertial sensors at the body origin measure, without their errors."""
+    """Ideal measurements of inertial sensors at the body origin."""
 
     specific_force: Tensor  # Specific force at the body origin [m/s²], body, (E, 3): +g on z at hover
     ang_acc: Tensor  # Angular acceleration [rad/s²], body, (E, 3)
@@ -353,16 +353,15 @@ def accelerations(
 ) -> Accelerations:
     """Return specific force and angular acceleration in a state; each row may be a moment of a flight log.
 
-    ``rotor_acc`` are the angular accelerations of the rotors [rad/s²], (E, R); none if not given. ``load`` is direction and
-    rate of the link of a load that hangs on the vehicle, world, (E, 6). ``remembered`` is what effects on wind, rotors or the
-    body remember, by name, (E, M). ``condition`` is that of ``condition_in`` for this
-    state, where it is at hand from a model with the same vehicle and wind. ``answers`` are those of effects in this state under
-    other models.
+    ``rotor_acc`` are the angular accelerations of the rotors [rad/s²], (E, R), 0 by default. ``load`` is direction and rate of
+    a load's link, world, (E, 6). ``remembered`` is the memory of effects on wind, rotors or the body, by name, (E, M).
+    ``condition`` is that of ``condition_in`` for this state, if known from a model with the same vehicle and wind. ``answers``
+    are cached results of effects in this state.
 
     ``f_o = F / m - alpha x c - w x (w x c)`` with c from the origin to the centre of mass.
 
     Raises:
-        CapabilityError: If an effect has memory that is not given: a state alone does not say what it does.
+        CapabilityError: If an effect has memory that is not given.
 
     Source:
         Derived: acceleration of two points of a rigid body, ``a_c = a_o + alpha x c + w x (w x c)``.
@@ -373,7 +372,7 @@ def accelerations(
     for effect, _ in model.effects.forces:
         if effect.accelerates and effect.remembers and effect.name not in told:
             raise CapabilityError(
-                f"effect {effect.name}: has memory, so a single state does not tell its force. Fly it with a backend instead"
+                f"effect {effect.name}: has memory, so one state does not determine its force. Fly it with a backend instead"
             )
     com, ang_vel = model.vehicle.com, state.ang_vel
     if condition is None:

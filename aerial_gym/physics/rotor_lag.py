@@ -1,7 +1,7 @@
-"""How the state of a rotor, speed or thrust, follows its command: lag, slew limit and dead band.
+"""Response of a rotor's state, speed or thrust, to its command: lag, slew limit and dead band.
 
-``dx/dt = clip((c - x) / tau, -S, S)`` with the state x, the command c, and time constant and slew rate of their own where the
-size of x grows and where it falls. Pure functions of tensors. Letters: E environments, R rotors.
+``dx/dt = clip((c - x) / tau, -S, S)`` with the state x, the command c, and separate time constants and slew rates for rising
+and falling size of x. Pure functions of tensors. Letters: E environments, R rotors.
 """
 
 from dataclasses import dataclass, replace
@@ -13,15 +13,15 @@ from aerial_gym.physics.rotors import lag_acceleration, lag_speed
 from aerial_gym.physics.vehicle import Vehicle
 
 FASTEST = 1e30
-"""In place of a slew rate without limit: far above all others, and its products are finite in float32."""
+"""Slew rate that stands for no limit: far above all others, with finite products in float32."""
 
 SHORTEST = 1e-12
-"""In place of a time constant of zero [s]."""
+"""Time constant that stands for zero [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Succession:
-    """Two commands, one after the other, that the rotors follow in a step."""
+    """Two successive commands of the rotors within a step."""
 
     earlier: Tensor  # First commands [rad/s] or [N], (E, R)
     later: Tensor  # Second ones, likewise
@@ -30,24 +30,24 @@ class Succession:
 
 @dataclass(frozen=True, kw_only=True)
 class Ramp:
-    """Rotors that are known to turn in a straight line through a step, as a log has them, whatever their lag."""
+    """Rotor speeds that are linear within a step, as measured in a log, without lag."""
 
     rate: Tensor  # Change of their states [rad/s²] or [N/s], (E, R)
 
 
 RotorCommand = Tensor | Succession | Ramp
-"""What the rotors follow in a step: one held command (E, R), two, or how they turn."""
+"""Command of the rotors in a step: one constant (E, R), two successive ones, or measured speeds."""
 
 
 def stop_in_dead_band(vehicle: Vehicle, command: Tensor) -> Tensor:
-    """Return the commands, (E, R), with zero in place of those within the dead band."""
+    """Set commands (E, R) within the dead band to zero."""
     if "dead_band" not in vehicle.traits:
         return command
     return torch.where(command.abs() < vehicle.dead_band, 0.0, command)
 
 
 def follow_command(vehicle: Vehicle, state: Tensor, command: RotorCommand, dt: float) -> Tensor:
-    """Return the states of the rotors, (E, R), after ``dt`` [s] from the start of a step; exact."""
+    """Return the exact states of the rotors, (E, R), ``dt`` [s] after the start of a step."""
     if isinstance(command, Ramp):
         return state + command.rate * dt
     if isinstance(command, Tensor):
@@ -69,8 +69,8 @@ def stage_rates(
 ) -> tuple[Tensor, ...]:
     """Return the rates of change of the states, (E, R), at the start, in the middle and at the end of a step of ``dt`` [s].
 
-    Where the command changes on the way, all are moved alike, so that Simpson's rule over them gives the whole change of the
-    states: the momentum that the rotors gain is exact.
+    If the command changes within the step, all rates are shifted alike, so that Simpson's rule gives the exact change of the
+    states, hence of the rotors' momentum.
     """
     if isinstance(command, Ramp):
         return command.rate, command.rate, command.rate
@@ -106,19 +106,19 @@ def limited_lag(
     slew_down: Tensor,
     dt: float | Tensor,
 ) -> Tensor:
-    """Return the state after ``dt`` under a held command with lag and slew limit; exact, however a span is divided.
+    """Return the state after ``dt`` under a constant command with lag and slew limit, exact for any division of the span.
 
-    The distance to the command shrinks at the slew rate S until it is ``S tau``, then by ``exp(-t / tau)``. A state that passes
-    through zero on its way first falls in size, then grows, each with its own time constant and slew rate.
+    The distance to the command shrinks at the slew rate S down to ``S tau``, then by ``exp(-t / tau)``. A state that passes
+    zero first falls in size, then grows, each with its own time constant and slew rate.
 
     Args:
         state: Speeds [rad/s] or thrusts [N], of either sign, (E, R).
         command: Commanded ones, (E, R).
-        tau_up: Time constant where the size of the state grows [s], (E, R). Zero follows as fast as the slew rate lets it.
-        tau_down: Time constant where it falls [s], (E, R).
-        slew_up: Largest rate at which it grows, (E, R); infinite where there is no limit.
-        slew_down: Largest rate at which it falls, (E, R), likewise.
-        dt: Span [s]; or (E, 1).
+        tau_up: Time constant for a growing size of the state [s], (E, R). Zero follows at the slew rate.
+        tau_down: Time constant for a falling size [s], (E, R).
+        slew_up: Largest rate of growth, (E, R); infinite for no limit.
+        slew_down: Largest rate of fall, (E, R), likewise.
+        dt: Span [s], scalar or (E, 1).
 
     Returns:
         States, (E, R).
@@ -140,12 +140,12 @@ def limited_lag(
 
 
 def _remaining(distance: Tensor, tau: Tensor, slew: Tensor, span: Tensor) -> Tensor:
-    """Return what is left of a distance >= 0 after a span [s]."""
+    """Return the remaining part of a distance >= 0 after a span [s]."""
     linear = torch.minimum(slew * span, (distance - slew * tau).clamp_min(0.0))
     return (distance - linear) * torch.exp(-(span - linear / slew).clamp_min(0.0) / tau)
 
 
 def _time_between(distance: Tensor, less: Tensor, tau: Tensor, slew: Tensor) -> Tensor:
-    """Return the time [s] in which a distance shrinks to a smaller one, > 0."""
+    """Return the time [s] in which a distance shrinks to ``less`` > 0."""
     linear = torch.minimum((distance - slew * tau).clamp_min(0.0), distance - less)
     return linear / slew + tau * torch.log((distance - linear) / less)

@@ -15,17 +15,17 @@ from aerial_gym.physics.vehicle import Vehicle, is_shared
 
 
 def lag_speed(speed: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor, dt: float | Tensor) -> Tensor:
-    """Return the rotor speed after ``dt`` under a held command, ``w_c + (w - w_c) exp(-dt / tau)``.
+    """Return the rotor speed after ``dt`` under a constant command, ``w_c + (w - w_c) exp(-dt / tau)``.
 
-    The exact solution of ``tau dw/dt = w_c - w``: the result does not depend on how a span is divided into steps. Which
-    time constant holds cannot change on the way, because the speed approaches the command from one side.
+    This is the exact solution of ``tau dw/dt = w_c - w``, independent of the division of a span into steps. The time constant
+    cannot change within it, because the speed approaches the command from one side.
 
     Args:
         speed: Rotor speeds w [rad/s], (E, R).
         command: Commanded speeds w_c [rad/s], (E, R).
-        tau_up: Time constant where the command is above the speed [s], (E, R). Zero follows at once.
-        tau_down: Time constant where it is below [s], (E, R).
-        dt: Span [s]; or (E, 1).
+        tau_up: Time constant for a command above the speed [s], (E, R). Zero follows at once.
+        tau_down: Time constant for a command below [s], (E, R).
+        dt: Span [s], scalar or (E, 1).
 
     Returns:
         Rotor speeds [rad/s], (E, R).
@@ -42,13 +42,13 @@ def lag_acceleration(
 ) -> Tensor:
     """Return the angular acceleration of the rotors [rad/s²], (E, R): ``(w_c - w) / tau``.
 
-    A rotor without lag follows at once: it is given the mean acceleration ``jump / dt`` of the step.
+    A rotor without lag follows at once, with the mean acceleration ``jump / dt`` of the step.
 
     Args:
         speed: Rotor speeds w [rad/s], (E, R).
         command: Commanded speeds w_c [rad/s], (E, R).
-        tau_up: Time constant where the command is above the speed [s], (E, R).
-        tau_down: Time constant where it is below [s], (E, R).
+        tau_up: Time constant for a command above the speed [s], (E, R).
+        tau_down: Time constant for a command below [s], (E, R).
         jump: Command minus the speed at the start of the step [rad/s], (E, R).
         dt: Length of the step [s].
 
@@ -97,36 +97,36 @@ def speed_for_thrust(coefficients: Tensor, thrust: Tensor) -> Tensor:
 
 
 def _root(square: Tensor) -> Tensor:
-    """Return the square root, 0 of what is not above 0: there with gradient 0, where that of the root is infinite."""
+    """Return the square root; 0 with gradient 0 for arguments <= 0, where that of the root is infinite."""
     none = square <= 0.0
     return torch.where(none, 0.0, torch.where(none, 1.0, square).sqrt())
 
 
 def _evaluate_signed(forwards: Tensor, backwards: Tensor, state: Tensor) -> Tensor:
-    """Return the map of a state that has a sign: odd, with coefficients of its own on the negative side, (E, R)."""
+    """Evaluate the odd map of a signed state, with separate coefficients on the negative side, (E, R)."""
     reverse = state < 0.0
     value = evaluate_map(torch.where(reverse.unsqueeze(-1), backwards, forwards), state.abs())
     return torch.where(reverse, -value, value)
 
 
 def rotor_thrust(vehicle: Vehicle, state: Tensor) -> Tensor:
-    """Return the thrusts along the axes [N], (E, R), of rotors in a state: speed [rad/s] or, in force mode, thrust [N]."""
+    """Return the thrusts along the axes [N], (E, R), for rotor states: speed [rad/s] or, in force mode, thrust [N]."""
     if "reversible" not in vehicle.traits:
         return evaluate_map(vehicle.thrust_map, state)
     return _evaluate_signed(vehicle.thrust_map, vehicle.reverse_thrust_map, state)
 
 
 def rotor_torque(vehicle: Vehicle, state: Tensor) -> Tensor:
-    """Return the drag torques against the turning of the rotors [N m], (E, R); those of reversed ones are negative."""
+    """Return the drag torques against the spin of the rotors [N m], (E, R); those of reversed rotors are negative."""
     if "reversible" not in vehicle.traits:
         return evaluate_map(vehicle.torque_map, state)
     return _evaluate_signed(vehicle.torque_map, vehicle.reverse_torque_map, state)
 
 
 def map_terms(vehicle: Vehicle, state: Tensor) -> Tensor:
-    """Return by what thrusts and drag torques multiply each coefficient of their maps, (K, E, R): they are linear in these.
+    """Return the regressors of the coefficients of thrust and torque maps, (K, E, R).
 
-    K is 3, or 6 with the coefficients of reversed rotors behind.
+    K is 3, or 6 with the coefficients of reversed rotors at the end.
     """
     count = 6 if "reversible" in vehicle.traits else 3
     unit, rows = torch.eye(6, dtype=state.dtype, device=state.device), (*state.shape, 3)
@@ -135,9 +135,9 @@ def map_terms(vehicle: Vehicle, state: Tensor) -> Tensor:
 
 
 def state_for_thrust(vehicle: Vehicle, thrust: Tensor) -> Tensor:
-    """Return the states that give thrusts [N], (E, R): speeds [rad/s], or in force mode thrusts. Inverts ``rotor_thrust``.
+    """Return the states for thrusts [N], (E, R): speeds [rad/s], or in force mode thrusts; the inverse of ``rotor_thrust``.
 
-    A thrust below the least of a rotor without sign gives the speed of that least, as in ``speed_for_thrust``.
+    A thrust below the minimum of an unsigned rotor gives the speed of that minimum, as in ``speed_for_thrust``.
 
     Source:
         Derived: the inverse of an odd function is odd; ``c0 + c1 x = T`` where c2 = 0.
@@ -198,6 +198,6 @@ def _lines_of_action(position: Tensor, com: Tensor, axis: Tensor, spin: Tensor) 
 
 
 def hover_speed(vehicle: Vehicle, gravity: float) -> Tensor:
-    """Return the rotor states (R,) [rad/s], in force mode [N], at which each rotor carries an equal share of the weight."""
+    """Return the rotor states (R,) [rad/s], in force mode [N], for equal shares of the weight."""
     share = (vehicle.mass * gravity / vehicle.num_rotors).unsqueeze(-1).expand(-1, vehicle.num_rotors)
     return torch.clamp(state_for_thrust(vehicle, share)[0], vehicle.speed_low[0], vehicle.speed_high[0])

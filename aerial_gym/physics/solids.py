@@ -1,6 +1,6 @@
-"""Obstacles as an engine needs them that finds contacts itself: a table of shapes, and where each of an environment is.
+"""Obstacles for engines with their own contact detection: a table of shapes, and their poses in each environment.
 
-Frames: world, z up; a part sits in the axes of the obstacle that carries it.
+Frames: world, z up; a part is in the axes of the obstacle that carries it.
 Letters: E environments, A obstacles, P parts of all of them.
 """
 
@@ -41,7 +41,7 @@ class Solid:
 
 @dataclass(frozen=True, kw_only=True)
 class Solids:
-    """What stands around the vehicles of all environments; the tensors stay where they are and may be written at any time."""
+    """Obstacles around the vehicles of all environments; the tensors keep their memory and may be written at any time."""
 
     table: tuple[Solid, ...]  # Every part that there is
     part: Tensor  # Row of the table of each part of an environment, -1 where there is none, integer, (E, P)
@@ -51,17 +51,17 @@ class Solids:
 
     @cached_property
     def _in_obstacles(self) -> tuple[Tensor, Tensor]:
-        """Positions and attitudes of the table's rows in what carries them, float64."""
+        """Positions and attitudes of the table's rows in their carriers, float64."""
         kind = {"dtype": torch.float64, "device": self.state.device}
         rows = ([solid.position for solid in self.table], [solid.attitude for solid in self.table])
         return torch.tensor(rows[0], **kind), torch.tensor(rows[1], **kind)
 
     def of_parts(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return how parts stand and move, float64.
+        """Return poses and velocities of all parts, float64.
 
         Returns:
             Positions [m], world, (E, P, 3); attitudes, part to world, xyzw, (E, P, 4); velocities of the parts' origins [m/s],
-            world, and angular velocities [rad/s], axes of the part, (E, P, 3). What is not there is at the world's origin.
+            world, and angular velocities [rad/s], axes of the part, (E, P, 3). Absent parts are at the world's origin.
         """
         there = (self.part >= 0).unsqueeze(-1)
         row, carrier = self.part.long().clamp_min(0), self.carrier.long().clamp_min(0)

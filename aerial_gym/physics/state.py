@@ -11,7 +11,7 @@ from torch import Tensor
 
 @dataclass(frozen=True, kw_only=True)
 class BodyState:
-    """Motion of the body origin and speeds of the rotors, all at the same instant."""
+    """Motion of the body origin and speeds of the rotors at one instant."""
 
     position: Tensor  # Body origin [m], world, (E, 3)
     attitude: Tensor  # Body to world, unit, xyzw, (E, 4)
@@ -36,7 +36,7 @@ class BodyState:
 
 @dataclass(frozen=True, kw_only=True)
 class JointedState(BodyState):
-    """The same of a vehicle that bends: its body is the base of a tree of links."""
+    """State of an articulated vehicle, whose body is the base of a tree of links."""
 
     joint_pos: Tensor  # Coordinates of the joints [rad] or [m], (E, D)
     joint_vel: Tensor  # Their rates [rad/s] or [m/s], (E, D)
@@ -47,7 +47,7 @@ class JointedState(BodyState):
 
 
 def state_at_rest(num_envs: int, num_rotors: int, *, device: torch.device, dtype: torch.dtype) -> BodyState:
-    """Return E bodies at the world origin, level, still, with still rotors."""
+    """Return E bodies at rest at the world origin, level, with rotors at rest."""
     zeros = torch.zeros(num_envs, 3, device=device, dtype=dtype)
     attitude = torch.zeros(num_envs, 4, device=device, dtype=dtype)
     attitude[:, 3] = 1.0

@@ -1,7 +1,7 @@
-"""What follows a vehicle from substep to substep: a record of where it goes, or surroundings that push it.
+"""Hooks after each substep: a record of poses, or forces of the surroundings.
 
-A backend advances all substeps of a step in one go. Whoever must know each of them gives it a hook at ``allocate``: the torch
-backend calls it after every substep, the fused kernel holds its Warp twin, composed in only where there is one.
+A backend advances all substeps of a step in one call. A hook, given at ``allocate``, runs after every substep: the torch
+backend calls it, and the fused kernel includes its Warp version.
 Letters: E environments, K substeps of a step, D joints.
 """
 
@@ -19,38 +19,35 @@ from aerial_gym.physics.state import BodyState, JointedState
 
 
 class SubstepHook(Protocol):
-    """Is told every substep, after contact with the ground, and may change the motion in place."""
+    """Function after every substep and its contact with the ground; it may change the motion in place."""
 
     @property
     def max_substeps(self) -> int | None:
-        """How many substeps a step may have; None for any number."""
+        """Largest number of substeps of a step; None for any number."""
         ...
 
     def begin(self, state: BodyState) -> None:
-        """Take the state at which a step starts; called before substep 0, waits for nothing."""
+        """Process the state at the start of a step, before substep 0, without waiting for the device."""
         ...
 
     def after_substep(self, k: int, before: MassState, state: BodyState) -> None:
-        """Follow substep ``k``, counted from 0, which led from ``before`` to ``state``; waits for nothing."""
+        """Process substep ``k`` (from 0), from ``before`` to ``state``, without waiting for the device."""
         ...
 
     def fused(self) -> FusedHook:
-        """Return the same as Warp code, in which a thread follows one environment."""
+        """Return the Warp version, with one thread per environment."""
         ...
 
 
 def check_substeps(hook: SubstepHook | None, substeps: int) -> None:
-    """Raise ``ShapeError`` if a hook has no room for so many substeps."""
+    """Raise ``ShapeError`` if the number of substeps exceeds that of a hook."""
     if hook is not None and hook.max_substeps is not None and substeps > hook.max_substeps:
         raise ShapeError(f"substeps = {substeps}: {type(hook).__name__} has room for {hook.max_substeps}")
 
 
 @dataclass(kw_only=True)
 class Trajectory:
-    """A hook that records the poses of a step: row 0 at its start, row k + 1 after substep k.
-
-    Rows beyond the substeps of a step are left alone.
-    """
+    """Hook that records the poses of a step: row 0 at its start, row k + 1 after substep k. Further rows stay unchanged."""
 
     position: Tensor  # Body origin [m], world, float32, (K + 1, E, 3)
     attitude: Tensor  # Body to world, xyzw, float32, (K + 1, E, 4)
@@ -59,7 +56,7 @@ class Trajectory:
 
     @classmethod
     def zeros(cls, substeps: int, num_envs: int, *, device: torch.device, num_joints: int = 0) -> "Trajectory":
-        """Return a record with room for steps of so many substeps, and for joints if there are any."""
+        """Allocate a record for steps of ``substeps``, with joints if there are any."""
         size = (substeps + 1, num_envs)
         return cls(
             position=torch.zeros(*size, 3, device=device),
@@ -69,7 +66,7 @@ class Trajectory:
 
     @property
     def max_substeps(self) -> int:
-        """Room for that many, K."""
+        """Capacity in substeps, K."""
         return self.position.shape[0] - 1
 
     def begin(self, state: BodyState) -> None:
@@ -95,7 +92,7 @@ class Trajectory:
             self.joint_pos[row].copy_(state.joint_pos)
 
     def fused(self) -> FusedHook:
-        """Return the same as Warp code."""
+        """Return the Warp version."""
         position = wp.from_torch(self.position, dtype=wp.vec3)
         joint_pos = None if self.joint_pos is None else wp.from_torch(self.joint_pos)
         return trajectory_hook(position, wp.from_torch(self.attitude, dtype=wp.quat), joint_pos)

@@ -1,4 +1,4 @@
-"""The readable reference backend in torch: any float type, CPU or GPU, differentiable through a whole rollout."""
+"""The reference backend in torch: any float type, CPU or GPU, differentiable through a whole rollout."""
 
 import logging
 from collections.abc import Callable, Mapping
@@ -53,15 +53,15 @@ _log = logging.getLogger(__name__)
 def advance(
     model: Model, stepper: Stepper, control: ControlLaw, state: BodyState, command: Tensor, dt: float, substeps: int
 ) -> BodyState:
-    """Return the state after ``substeps`` of ``dt`` [s]; the control law runs before each. Differentiable.
+    """Return the state after ``substeps`` of ``dt`` [s], each with a run of the control law. Differentiable.
 
-    Effects and laws with memory begin as after a reset; a backend keeps what they remember between calls.
+    Effects and laws with memory start as after a reset; a backend keeps their memory between calls.
 
     Args:
         stepper: One of ``INTEGRATORS``.
-        control: Turns the action into rotor commands.
+        control: Control law.
         state: Motion of the body origin and rotor speeds.
-        command: Action, held, (E, number of actions).
+        command: Constant action, (E, number of actions).
         dt: Length of one substep [s].
     """
     memory, law_memory = make_memory(model, dt) if model.effects.remembering else None, None
@@ -83,9 +83,9 @@ def advance_remembering(
     memory: Memory | None,
     law_memory: LawMemory | None = None,
 ) -> tuple[BodyState, Memory | None]:
-    """Return what ``advance`` does, from a memory on, and the memory at the end; None if no effect has one.
+    """Return the state of ``advance`` from a given memory, and the new memory; None if no effect has memory.
 
-    Without a control law the command is what the rotors follow.
+    Without a control law, ``command`` is the rotor command.
     """
     rotor_command = command
     for _ in range(substeps):
@@ -100,7 +100,7 @@ def advance_remembering(
 def _substep(
     model: Model, stepper: Stepper, state: BodyState, rotor_command: Tensor | Ramp, dt: float, memory: Memory | None
 ) -> tuple[MassState, MassState, Memory | None]:
-    """Return the motion before and after a substep, and what is remembered after it."""
+    """Return the motion before and after a substep, and the new memory."""
     if isinstance(rotor_command, Tensor):
         rotor_command = stop_in_dead_band(model.vehicle, rotor_command)
     if memory is None:
@@ -116,7 +116,7 @@ AnyMemory = TypeVar("AnyMemory", Memory, LawMemory)
 
 
 def _kept(old: AnyMemory | None, new: AnyMemory | None) -> AnyMemory | None:
-    """Return the memory to keep: the old one, written in place as a captured step needs, unless gradients flow through it."""
+    """Return the memory to keep: the old one, written in place for captured steps, or the new one if it has gradients."""
     if new is None or old is None or any(part.requires_grad for m in (new, old) for part in m.tensors().values()):
         return new
     for kept, part in zip(old.tensors().values(), new.tensors().values(), strict=True):
@@ -125,13 +125,13 @@ def _kept(old: AnyMemory | None, new: AnyMemory | None) -> AnyMemory | None:
 
 
 def _cut(memory: AnyMemory) -> AnyMemory:
-    """Return the memory without its gradients."""
+    """Return the memory detached from gradients."""
     return replace(memory, **{name: tensor.detach() for name, tensor in memory.tensors().items()})
 
 
 @torch.no_grad()
 def in_places(places: dict[str, Tensor], tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Return tensors in those of ``places``, which are written, and made for names that come for the first time."""
+    """Copy tensors into ``places``, allocating new names, and return these."""
     for name, tensor in tensors.items():
         if name not in places or places[name].shape != tensor.shape:
             places[name] = tensor.clone()
@@ -176,7 +176,7 @@ class TorchBackend:
         hook: SubstepHook | None = None,
         random: Randomness | None = None,
     ) -> None:
-        """Take model, control law, stepper by name, ground, hook and the random numbers."""
+        """Set model, control law, integrator by name, ground, hook and random numbers."""
         if integrator not in self.capabilities.integrators:
             known = ", ".join(self.capabilities.integrators)
             raise CapabilityError(f"backend {self.name}: no integrator {integrator!r}. Known: {known}")
@@ -192,40 +192,40 @@ class TorchBackend:
         self.set_model(model)
 
     def make_stepper(self, integrator: str) -> Stepper:
-        """Return what moves the body in a substep, for one of ``capabilities.integrators``; other engines give their own."""
+        """Return the integrator of the body for one of ``capabilities.integrators``; other engines override it."""
         return INTEGRATORS[integrator]
 
     def tree_stepper(self, model: Model, dt: float) -> "Callable[..., TreeState]":
-        """Return what moves the links of a vehicle that bends in a substep of ``dt`` [s]: as ``implicit_euler``."""
+        """Return the integrator of an articulated vehicle's links for substeps of ``dt`` [s], like ``implicit_euler``."""
         del model, dt
         from aerial_gym.physics.articulated.steppers import implicit_euler
 
         return implicit_euler
 
     def set_model(self, model: Model) -> None:
-        """Take other parameters."""
+        """Replace the parameters."""
         self._model = model
         rows = model.vehicle.rows() | {"inertia_inverse": model.inertia_inverse}
         self._own = [name for name, kept in rows.items() if not is_shared(kept)]
 
     def take_ground_heights(self) -> None:
-        """Do nothing: the tensor is read in every step."""
+        """Do nothing, because every step reads the tensor."""
 
     def load(self) -> Tensor | None:
-        """Return direction and rate of the link on which a load hangs, (E, 6); None without one."""
+        """Return direction and rate of the load's link, (E, 6); None without a load."""
         return (
             load_of(self._model, self._memory) if self._memory is not None and self._model.effects[LoadEffect] else None
         )
 
     def prepare(self, dt: float) -> None:
-        """Make the memory of effects and control law."""
+        """Allocate the memory of effects and control law."""
         self._memory_for(dt)
         self._law_memory_for(self._model.vehicle.mass, dt)
         if self._model.articulation is not None and self._model.articulation.num_creep and self._crept is None:
             self._crept = self._model.articulation.fresh_creep(self._model.vehicle.num_envs)
 
     def state_tensors(self) -> dict[str, Tensor]:
-        """Return what must be kept to go on, by name."""
+        """Return the state for a checkpoint, by name."""
         found = {f"parameter.{i}": rows for i, rows in enumerate(self.parameter_targets())}
         for name, memory in (("memory", self._memory), ("law", self.law_memory)):
             if memory is not None:
@@ -233,18 +233,18 @@ class TorchBackend:
         return found if self._crept is None else found | {"crept": self._crept}
 
     def parameter_rows(self, model: Model) -> tuple[Tensor, ...]:
-        """Return the parameters of the vehicle that environments do not share, and the inverse inertia."""
+        """Return the vehicle's parameters that differ between environments, and the inverse inertia."""
         rows = model.vehicle.rows() | {"inertia_inverse": model.inertia_inverse}
         return tuple(rows[name] for name in self._own)
 
     def parameter_targets(self) -> tuple[Tensor, ...]:
-        """Return these of the model that it has."""
+        """Return these tensors of the own model."""
         return self.parameter_rows(self._model)
 
     def advance(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> BodyState:
-        """Return the state after ``substeps`` of ``dt`` [s], differentiable; a ground that pushes does so here as well.
+        """Return the state after ``substeps`` of ``dt`` [s], differentiable, with contact forces of the ground.
 
-        Effects go on with what they remember from the call before, through which gradients flow back as well.
+        Effects continue with their memory of the previous call, through which gradients flow as well.
         """
         for _ in range(substeps):
             if self._ground is None or self._ground.cfg is None:
@@ -254,7 +254,7 @@ class TorchBackend:
         return state
 
     def _free_substep_of_body(self, state: BodyState, command: Tensor, dt: float) -> tuple[MassState, BodyState]:
-        """Return the motion before and the state after a substep without contact, of a rigid vehicle or one that bends."""
+        """Return motion before and state after a substep without contact, of a rigid or articulated vehicle."""
         if self._model.articulation is None:
             before, after = self._free_substep(state, command, dt)
             return before, to_body_state(self._model, after)
@@ -262,7 +262,7 @@ class TorchBackend:
         return to_mass_state(self._model, state), self._jointed_substep(state, command, dt)
 
     def _jointed_substep(self, state: JointedState, command: Tensor, dt: float) -> JointedState:
-        """Return the state after a substep; the last entries of the action are commands of the joints' drives."""
+        """Return the state after a substep; the last entries of the action command the joints' drives."""
         from aerial_gym.physics.articulated.flight import jointed_step
 
         memory, model = self._memory_for(dt), self._model
@@ -296,7 +296,7 @@ class TorchBackend:
         return before, after
 
     def _law_memory_for(self, like: Tensor, dt: float) -> LawMemory | None:
-        """Return the memory of the control law, made at its first step."""
+        """Return the memory of the control law, allocated at its first step."""
         needs = needs_of(self._control)
         if needs is None:
             return None
@@ -306,7 +306,7 @@ class TorchBackend:
         return self.law_memory
 
     def _memory_for(self, dt: float) -> Memory | None:
-        """Return the memory, made anew where substeps of another length need another number of commands."""
+        """Return the memory of effects, reallocated if the length of a substep changes the number of commands."""
         if not self._model.effects.remembering:
             return None
         if self._memory is None or self._memory.past.shape[1] != num_past_commands(self._model, dt):
@@ -316,7 +316,7 @@ class TorchBackend:
     def _advance_on_ground(
         self, ground: Ground, cfg: ContactCfg, state: BodyState, command: Tensor, dt: float
     ) -> tuple[MassState, BodyState, Tensor, Tensor]:
-        """Return the motion before and the state after one substep, the impulse of the ground (E, 3), and which crash (E,)."""
+        """Return motion before and state after a substep, impulse of the ground (E, 3), and crash flags (E,)."""
         before, free = self._free_substep(state, command, dt)
         after, impulse, crashes = push_off_ground(ground, cfg, self._model, before, free, dt=dt, share=self._share)
         return before, to_body_state(self._model, after), impulse, crashes
@@ -333,16 +333,16 @@ class TorchBackend:
                 self._hook.after_substep(k, before, state)
 
     def _step_once(self, state: BodyState, command: Tensor, dt: float) -> MassState:
-        """Advance ``state`` in place by one substep and tell the ground; return a copy of the motion before."""
+        """Advance ``state`` in place by one substep and update the ground's contacts; return a copy of the motion before."""
         before, after = self.advance_once(state, command, dt)
         before = MassState(**{name: tensor.clone() for name, tensor in vars(before).items()})
         state.copy_(after)
         return before
 
     def in_rows(self, state: BodyState, command: Tensor, dt: float) -> SubstepRows | None:
-        """Return a substep as one kernel, made for such a state and action; None where it must be torch operations.
+        """Return a substep as one kernel for such a state and action; None if it needs torch operations.
 
-        That is so where effects or law remember something, or the ground pushes. It holds until the model is replaced.
+        Memory of effects or law, or contact forces, need them. The kernel is valid until the model is replaced.
         """
         ground, model = self._ground, self._model
         remembers = model.effects.remembering or needs_of(self._control) is not None
@@ -359,7 +359,7 @@ class TorchBackend:
             return None
 
     def advance_once(self, state: BodyState, command: Tensor, dt: float) -> tuple[MassState, BodyState]:
-        """Return the motion before and the state after one substep, differentiable, and tell the ground."""
+        """Return motion before and state after a substep, differentiable, and update the ground's contacts."""
         ground = self._ground
         if ground is None or ground.cfg is None:
             before, after = self._free_substep_of_body(state, command, dt)
@@ -373,7 +373,7 @@ class TorchBackend:
         return before, after
 
     def detach(self) -> None:
-        """Let gradients through what effects, law and dashpots remember end at this instant."""
+        """Detach the memory of effects, law and dashpots from gradients."""
         if self._memory is not None:
             self._memory = _cut(self._memory)
         if self.law_memory is not None:
@@ -382,7 +382,7 @@ class TorchBackend:
             self._crept = self._crept.detach()
 
     def settle(self) -> None:
-        """Let gradients end at this instant, with what is remembered in tensors that are the same at every call."""
+        """Detach the memory from gradients, in the same tensors at every call."""
         self.detach()
         if self._memory is not None:
             self._memory = replace(self._memory, **in_places(self._places[0], self._memory.tensors()))
@@ -392,9 +392,9 @@ class TorchBackend:
             self._crept = in_places(self._places[2], {"crept": self._crept})["crept"]
 
     def forget(self, mask: Tensor) -> None:
-        """Let effects, law and dashpots forget the environments in ``mask``; gradients of others go on.
+        """Reset the memory of the environments in ``mask``, and keep the gradients of others.
 
-        What is forgotten keeps the mask, which must stay as it is.
+        The graph keeps the mask, which must not change.
         """
         if self._memory is not None:
             self._memory = forget(self._memory, mask)
@@ -405,7 +405,7 @@ class TorchBackend:
 
     @torch.no_grad()
     def reset(self, mask: Tensor) -> None:
-        """Let effects, law and dashpots forget the environments in ``mask``; gradients through memory end here for all."""
+        """Reset the memory of the environments in ``mask``; gradients through memory end for all."""
         self.detach()
         if self._memory is not None:
             self._memory = _kept(self._memory, forget(self._memory, mask))

@@ -1,4 +1,4 @@
-"""A substep of the torch backend as one kernel forward and one back, where it remembers nothing.
+"""A substep of the torch backend without memory, as one kernel forward and one backward.
 
 Letters: E environments, C collision spheres.
 """
@@ -17,20 +17,20 @@ Substep = Callable[[BodyState, Tensor, float], BodyState]
 
 
 class SubstepRows:
-    """Does what a substep in plain torch does, and says who touches the ground."""
+    """A substep of the torch backend as row kernels, with contact flags of the ground."""
 
     def __init__(self, substep: Substep, state: BodyState, action: Tensor, dt: float, ground: Ground | None) -> None:
         """Trace the substep and its gradient with respect to state and action.
 
         Args:
-            substep: Parameters that it reads must keep their places.
-            state: One of those that it will take.
-            action: Likewise, (E, number of actions).
+            substep: Function whose parameters must keep their memory.
+            state: Example state.
+            action: Example action, (E, number of actions).
             dt: Length of the substep [s].
-            ground: Whose ``contact`` is set; None if there is none.
+            ground: Ground whose ``contact`` is set; None without ground.
 
         Raises:
-            UntraceableError: If the substep cannot be done row by row; the text says why.
+            UntraceableError: If the substep cannot be computed row by row; the text states the reason.
         """
         self._names, self._ground = tuple(vars(state)), ground
         rows = [action, *state.tensors()]
@@ -39,7 +39,7 @@ class SubstepRows:
         self._rows = DifferentiableRows(partial(self._of, substep, dt), rows, lifts=True)
 
     def __call__(self, state: BodyState, action: Tensor) -> BodyState:
-        """Return the state after the substep, with its gradients; the ground is told."""
+        """Return the differentiable state after the substep, and update the ground's contacts."""
         if self._ground is None:
             return self._state(self._rows(action, *state.tensors()))
         *after, touches = self._rows(action, *state.tensors(), self._ground.spheres)

@@ -1,7 +1,6 @@
 """The parameters of a batch of multirotors as tensors, one row per environment.
 
-A parameter that is the same everywhere is one row seen E times (stride 0): it costs no memory, and the fused kernels read it
-once instead of per environment.
+A shared parameter is one row, viewed E times with stride 0. It costs no memory, and the fused kernels read it once.
 Frames: body is x forward, y left, z up. Letters: E environments, R rotors.
 """
 
@@ -17,32 +16,32 @@ from aerial_gym.errors import ConfigError
 
 
 def share_row(row: Tensor, num_envs: int) -> Tensor:
-    """Return one row (...) as the read-only rows (E, ...) of all environments."""
+    """Return one row (...) as read-only rows (E, ...) of all environments."""
     return row.as_strided((num_envs, *row.shape), (0, *row.stride()))
 
 
 def is_shared(rows: Tensor) -> bool:
-    """Return whether all rows (E, ...) are one: made by ``share_row``."""
+    """Return whether all rows (E, ...) share memory, as from ``share_row``."""
     return rows.stride(0) == 0
 
 
 def is_same_row(new: Tensor, kept: Tensor) -> bool:
-    """Return whether rows are shared as ``kept`` are, with the same numbers; waits for the device."""
+    """Return whether rows are shared and equal those of ``kept``; waits for the device."""
     return is_shared(new) and torch.equal(new[0], kept[0])
 
 
 def own_rows(rows: Tensor) -> Tensor:
-    """Return a copy (E, ...) with memory for every row, which is not shared even where E is 1."""
+    """Return a copy (E, ...) with memory for every row, unshared even for E = 1."""
     return torch.empty(rows.shape, dtype=rows.dtype, device=rows.device).copy_(rows)
 
 
 _OF_BODY = {"mass", "inertia", "com", "battery"}
-"""Tensors of a vehicle that have no row for each rotor."""
+"""Tensors of a vehicle without a rotor dimension."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Vehicle:
-    """Everything rigid body and rotors need; effects that act on a parameter replace it here."""
+    """Parameters of rigid body and rotors; effects on a parameter replace it here."""
 
     mass: Tensor
     """Mass [kg], (E,)."""
@@ -118,7 +117,7 @@ class Vehicle:
 
     @property
     def plain(self) -> bool:
-        """Whether all rotors have speeds without sign that follow their commands with a lag alone."""
+        """Whether all rotors have unsigned speeds with a first-order lag only."""
         return not self.traits
 
     @property
@@ -140,13 +139,13 @@ class Vehicle:
         return replace(self, **{name: change(rows) for name, rows in self.rows().items()})
 
     def to(self, dtype: torch.dtype) -> "Vehicle":
-        """Return the vehicle in another float type; what is shared stays so."""
+        """Return the vehicle in another float type; shared rows stay shared."""
         return self.map_rows(
             lambda rows: share_row(rows[0].to(dtype), rows.shape[0]) if is_shared(rows) else rows.to(dtype, copy=True)
         )
 
     def of_rotors(self, rotors: Sequence[int]) -> "Vehicle":
-        """Return the vehicle with some of its rotors alone, by their numbers from 0; what is shared stays so."""
+        """Return the vehicle with some of its rotors, by index from 0; shared rows stay shared."""
         numbers = list(rotors)
 
         def some(rows: Tensor) -> Tensor:
@@ -155,7 +154,7 @@ class Vehicle:
         return replace(self, **{name: some(rows) for name, rows in self.rows().items() if name not in _OF_BODY})
 
     def with_scaled_maps(self, *, thrust: Tensor | None = None, torque: Tensor | None = None) -> "Vehicle":
-        """Return the vehicle with factors (E, R) or (E, 1) on thrust and on drag torque, in both directions of turning."""
+        """Return the vehicle with factors (E, R) or (E, 1) on thrust and drag torque, for both directions of spin."""
         changes = {}
         for factor, names in (
             (thrust, ("thrust_map", "reverse_thrust_map")),
@@ -210,7 +209,7 @@ def vehicle_from_config(
 
 
 def _check_numbers(vehicle: Vehicle) -> None:
-    """Raise ``ConfigError`` where a number of the robot file is too large or too small for the float32 of the kernels."""
+    """Raise ``ConfigError`` for numbers of the robot file beyond the range of float32, which kernels use."""
     first = {name: rows[:1].float().cpu() for name, rows in vehicle.rows().items()}
     for name, row in first.items():
         may_lack = name.startswith("slew_rate") or name in ("rotor_radius", "battery")

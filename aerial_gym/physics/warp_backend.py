@@ -57,14 +57,14 @@ BLOCK_DIM = 128
 """Threads of a block; measured in docs/results/performance.md."""
 
 ROW_GAP = 32
-"""Numbers between packed rows: those of a power of two of environments else share one line of a CPU's cache."""
+"""Padding between packed rows; otherwise rows of a power of two of environments share a line of a CPU's cache."""
 
 MIN_STEPS_PER_THREAD = 4096
-"""Substeps of environments below which another CPU thread costs more than it saves (a hand-over takes some 50 µs)."""
+"""Least number of environment substeps per CPU thread; with fewer, the start of the thread (some 50 µs) costs more."""
 
 
 class _GroundArrays(NamedTuple):
-    """A ground as the kernel takes it: three inputs, two outputs."""
+    """Kernel arguments of a ground: three inputs, two outputs."""
 
     spheres: wp.array
     height: float
@@ -75,7 +75,7 @@ class _GroundArrays(NamedTuple):
 
 @dataclass(frozen=True)
 class _Binding:
-    """Launches that were recorded for these very tensors."""
+    """Recorded launches for particular tensors."""
 
     state: BodyState
     command: Tensor
@@ -85,13 +85,13 @@ class _Binding:
 
 
 class WarpBackend:
-    """Physics in one fused kernel, composed at ``allocate`` from the control law, the effects and the stepper.
+    """Physics in one fused kernel, composed at ``allocate`` from control law, effects and integrator.
 
     On the CPU the batch is split over as many threads as torch is allowed (``torch.set_num_threads``).
     """
 
     def __init__(self, *, differentiable: bool = False) -> None:
-        """Make a backend; with ``differentiable`` ``advance`` passes gradients through Warp's tape."""
+        """Make a backend; with ``differentiable``, ``advance`` passes gradients through Warp's tape."""
         self._differentiable = differentiable
         self._random: Randomness | None = None
         self._memory: Memory | None = None
@@ -99,7 +99,7 @@ class WarpBackend:
 
     @property
     def capabilities(self) -> Capabilities:
-        """What it can do; effects are those with a Warp twin at this moment."""
+        """Capabilities; effects are those with Warp code."""
         return Capabilities(
             devices=("cpu", "cuda"),
             dtypes=(torch.float32,),
@@ -127,7 +127,7 @@ class WarpBackend:
         """Compose the kernel and make the buffers.
 
         Raises:
-            CapabilityError: If stepper, effect, control law or float type cannot run here.
+            CapabilityError: If integrator, effect, control law or float type is not supported.
         """
         if integrator not in STAGES:
             raise CapabilityError(f"backend warp: no integrator {integrator!r}. Known: {', '.join(STAGES)}")
@@ -203,12 +203,12 @@ class WarpBackend:
         self._binding: _Binding | None = None
 
     def _ground_arrays(self, ground: Ground | None) -> _GroundArrays:
-        """Return what the kernel takes of a ground."""
+        """Return the kernel arguments of a ground."""
         if ground is None:
             nothing = torch.zeros(1, 4, device=self._device)
             ground = Ground(height=0.0, spheres=nothing, contact=torch.zeros(1, dtype=torch.bool, device=self._device))
         impulse = ground.impulse
-        if impulse is None:  # nobody reads it
+        if impulse is None:  # unread
             impulse = torch.zeros(self._num_envs if ground.cfg is not None else 1, 3, device=self._device)
         share = position_share(self._integrator, in_fluid=bool(self._model.effects[FluidEffect]))
         return _GroundArrays(
@@ -223,10 +223,10 @@ class WarpBackend:
         return numbers_of(self._model, self._law, STAGES[self._integrator] * dt)
 
     def set_model(self, model: Model) -> None:
-        """Take other parameters.
+        """Replace the parameters.
 
-        What is per environment is written in place, which a captured step sees. If a parameter that was shared changes, or is
-        no longer shared, the kernel is composed anew: capture again then.
+        Parameters per environment are written in place, which a captured step uses. If a shared parameter changes, or is no
+        longer shared, the kernel is recomposed, and a captured step needs a new capture.
         """
         old, self._model = self._model, model
         pairs = [*zip(model.vehicle.rows().values(), old.vehicle.rows().values(), strict=True)]
@@ -247,7 +247,7 @@ class WarpBackend:
             self._write_packed()
 
     def reset(self, mask: Tensor) -> None:
-        """Let effects and law forget the environments in ``mask``, and take new gains where they are randomised."""
+        """Reset the memory of the environments in ``mask``, and write new gains if they are randomised."""
         if self._dashpots is not None:
             self._dashpots.masked_fill_(mask, nan)
         if self._memory is not None:
@@ -261,21 +261,21 @@ class WarpBackend:
             self._write_gains(self._packing.gains)
 
     def take_ground_heights(self) -> None:
-        """Write the heights to their place in the packed tensor."""
+        """Write the ground heights into the packed tensor."""
         if isinstance(self._model.ground_height, torch.Tensor):
             self._packed[self._packing.vehicle["ground_height"]].copy_(self._model.ground_height[:, 0])
 
     def load(self) -> Tensor | None:
-        """Return direction and rate of the link on which a load hangs, a view (E, 6); None without one."""
+        """Return direction and rate of the load's link, a view (E, 6); None without a load."""
         return self._memory.numbers[-6:].T if self._memory is not None and self._model.effects[LoadEffect] else None
 
     def prepare(self, dt: float) -> None:
-        """Compute everything that depends on the length of a substep [s]."""
+        """Compute all values that depend on the length of a substep [s]."""
         if dt != self._dt:
             self._prepare(dt)
 
     def state_tensors(self) -> dict[str, Tensor]:
-        """Return what must be kept to go on, by name."""
+        """Return the state for a checkpoint, by name."""
         found = {"packed": self._packed}
         for name, memory in (("memory", self._memory), ("law", self.law_memory)):
             if memory is not None:
@@ -293,7 +293,7 @@ class WarpBackend:
         return parameter_rows(self._packing, numbers, command=follow is not None)
 
     def parameter_targets(self) -> tuple[Tensor, ...]:
-        """Return their places in the packed tensor (N, E)."""
+        """Return their memory in the packed tensor (N, E)."""
         width = sum(rows.shape[1] for rows in self._numbers(self._dt).effects)
         packing = self._packing
         first = packing.behind_vehicle if self._law.follow is None else packing.behind_command
@@ -303,7 +303,7 @@ class WarpBackend:
 
     @torch.no_grad()
     def _write_gains(self, first: int) -> None:
-        """Write the gains of every environment, which the control law keeps."""
+        """Write the control law's gains of every environment."""
         rows = torch.cat([field.rows().T for field in self._numbers(self._dt).gains])
         self._packed[first : first + len(rows)].copy_(rows)
 
@@ -313,14 +313,14 @@ class WarpBackend:
             torch.cat([rows.T for rows in packed_rows(self._packing, self._numbers(self._dt))], out=self._packed)
 
     def _prepare(self, dt: float) -> None:
-        """Compute everything that depends on the length of a substep."""
+        """Compute all values that depend on the length of a substep."""
         self._dt, self._binding = dt, None
         self._write_packed()
         self._arrange_memory(dt)
         self._shared = shared_structs(self._packing, self._numbers(dt), self._law, types_of(self._model))
 
     def _arrange_memory(self, dt: float) -> None:
-        """Make what is remembered, unless there is something that fits; neighbouring environments side by side, (M, E)."""
+        """Allocate the memory unless its size is right; neighbouring environments are contiguous, (M, E)."""
         effects, law = self._effect_arrays(dt), self._law_arrays(dt)
         together = memory_type(effects=effects is not None, law=law is not None)
         self._memory_arrays = effects if effects is not None and law is None else together()
@@ -330,7 +330,7 @@ class WarpBackend:
                 self._memory_arrays.effects = effects
 
     def _effect_arrays(self, dt: float) -> Any:
-        """Return ``MemoryArrays``, or None where no effect remembers anything."""
+        """Return ``MemoryArrays``; None if no effect has memory."""
         if not self._model.effects.remembering:
             return None
         slots = num_past_commands(self._model, dt)
@@ -342,7 +342,7 @@ class WarpBackend:
         return make_struct(MemoryArrays, **memory.tensors(), slots=slots, random=random_arrays(memory.random))
 
     def _law_arrays(self, dt: float) -> Any:
-        """Return ``LawArrays``, or None where the law remembers nothing."""
+        """Return ``LawArrays``; None for a law without memory."""
         needs = self._law.needs
         if needs is None:
             return None
@@ -354,8 +354,8 @@ class WarpBackend:
         return make_struct(LawArrays, **self.law_memory.tensors())
 
     def step(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> None:
-        """Advance ``state`` in place: one launch, on torch's current stream, that waits for nothing."""
-        if self._differentiable:  # its kernel takes one substep a launch
+        """Advance ``state`` in place: one launch on torch's current stream, without waiting."""
+        if self._differentiable:  # its kernel advances one substep per launch
             with torch.no_grad():
                 state.copy_(self.advance(state, command, dt, substeps))
             return
@@ -369,7 +369,7 @@ class WarpBackend:
             launch_side_by_side(bound.launches)
 
     def _bind(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> _Binding:
-        """Record the launches for tensors of fixed address, so that a step makes no views."""
+        """Record the launches for tensors of fixed addresses, so that a step creates no views."""
         check_substeps(self._hook, substeps)
         arrays = self._arrays(state)
         inputs = [*arrays, self._view(command, vector_type(self._num_actions), "command"), *self._shared]
@@ -391,7 +391,7 @@ class WarpBackend:
         return _Binding(state, command, dt, substeps, launches)
 
     def _chunks(self, substeps: int) -> list[tuple[int, int]]:
-        """Return first environment and number of environments of each launch."""
+        """Return the first environment and the number of environments of each launch."""
         if self._device.type == "cuda":
             return [(0, self._num_envs)]
         threads = min(torch.get_num_threads(), max(1, self._num_envs * substeps // MIN_STEPS_PER_THREAD))
@@ -420,7 +420,7 @@ class WarpBackend:
         return wp.from_torch(tensor, dtype=kind)
 
     def advance(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> BodyState:
-        """Return the state after ``substeps`` of ``dt`` [s]; differentiable if asked for at construction.
+        """Return the state after ``substeps`` of ``dt`` [s]; differentiable if chosen at construction.
 
         Gradients flow to the state, the action and every parameter of the model and of the control law.
         """

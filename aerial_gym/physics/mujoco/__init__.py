@@ -1,1 +1,1 @@
-"""MuJoCo as a physics backend: the rigid body and its contact with the ground are MuJoCo's, all else is the torch backend's."""
+"""MuJoCo as a physics backend for the rigid body and its contacts; all else is shared with the torch backend."""

@@ -1,11 +1,11 @@
-"""The torch backend with MuJoCo in place of its own steppers: an independent engine for rigid body and contact with the ground.
+"""The torch backend with MuJoCo as its integrator: an independent engine for rigid body and contact with the ground.
 
-Control law, rotors, effects and what they remember are the torch backend's own code. Over a substep the wrench is held, as in
-semi-implicit Euler, and so MuJoCo's ``Euler`` is the torch backend's ``euler`` to rounding as long as nothing is touched.
+Control law, rotors, effects and their memory are the torch backend's code. The wrench is constant over a substep, as in
+semi-implicit Euler, so MuJoCo's ``Euler`` equals the torch backend's ``euler`` to rounding without contact.
 MuJoCo computes in float64, whatever the float type of the state.
 
-Environments are spread over as many threads as torch has when the backend is told its model, by MuJoCo's rollout: no loop in
-Python. Parameters that environments do not share cost a MuJoCo model each, some 0.1 MB.
+MuJoCo's rollout distributes environments over torch's number of threads at the time of ``allocate``, without a loop in
+Python. Environments with different parameters need a MuJoCo model each, some 0.1 MB.
 Letters: E environments.
 """
 
@@ -46,7 +46,7 @@ from aerial_gym.physics.torch_backend import TorchBackend
 
 
 class MujocoBackend(TorchBackend):
-    """MuJoCo on the CPU: an independent engine moves the rigid body and resolves its contact with the ground."""
+    """MuJoCo on the CPU: an independent engine for the rigid body and its contact with the ground."""
 
     name = "mujoco"
     packages = ("mujoco",)
@@ -77,7 +77,7 @@ class MujocoBackend(TorchBackend):
     """Velocity after that step [m/s], world, (E, 3)."""
 
     def prepare(self, dt: float) -> None:
-        """Make the memory of effects and control law, and MuJoCo's models."""
+        """Allocate the memory of effects and control law, and MuJoCo's models."""
         super().prepare(dt)
         if self._model.articulation is None:
             self._bodies_for(self._model, dt)
@@ -85,15 +85,15 @@ class MujocoBackend(TorchBackend):
             self.tree_stepper(self._model, dt)
 
     def make_stepper(self, integrator: str) -> Stepper:
-        """Return the one that hands the wrench to MuJoCo; raise ``MissingDependencyError`` where that is not installed."""
-        del integrator  # there is one
+        """Return the integrator that passes the wrench to MuJoCo; raise ``MissingDependencyError`` without MuJoCo."""
+        del integrator  # MuJoCo has one
         for package in self.packages:
             load(package.replace("-", "_"), backend=self.name)
         self._bodies = self._trees = None
         return self._move
 
     def tree_stepper(self, model: Model, dt: float) -> Callable[..., TreeState]:
-        """Return MuJoCo's, which takes the efforts of joints at the end of a step as ``implicit_euler`` does."""
+        """Return MuJoCo's integrator of trees, with joint efforts at the end of a step as in ``implicit_euler``."""
         assert model.articulation is not None
         if self._trees is None or self._trees.dt != dt:
             floor, cfg = _floor_of(self._ground)
@@ -105,7 +105,7 @@ class MujocoBackend(TorchBackend):
     def _move(self, model: Model, state: MassState, rotor_command: RotorCommand, dt: float) -> MassState:
         """Return the motion after ``dt`` [s]: a ``Stepper``.
 
-        In a fluid MuJoCo applies the impulses of forces and contact, between two halves of ``coast``.
+        In a fluid, MuJoCo applies the impulses of forces and contact between two halves of ``coast``.
         """
         if not model.effects[FluidEffect]:
             return self._push(model, state, rotor_command, dt)
@@ -114,7 +114,7 @@ class MujocoBackend(TorchBackend):
         return coast(model, replace(end, position=middle.position, attitude=middle.attitude), 0.5 * dt)
 
     def _push(self, model: Model, state: MassState, rotor_command: RotorCommand, dt: float) -> MassState:
-        """Return the motion after MuJoCo's step; in a fluid its velocities alone count, and a load has not moved yet."""
+        """Return the motion after MuJoCo's step; in a fluid only its velocities count, and a load is unchanged."""
         rotor_speed, (force, torque) = held_wrench(model, state, rotor_command, dt)
         load, fluid = state.load, bool(model.effects[FluidEffect])
         if model.effects[LoadEffect]:
@@ -144,9 +144,9 @@ class MujocoBackend(TorchBackend):
     def _advance_on_ground(
         self, ground: Ground, cfg: ContactCfg, state: BodyState, command: Tensor, dt: float
     ) -> tuple[MassState, BodyState, Tensor, Tensor]:
-        """Return the motion before and the state after one substep, the impulse of the ground (E, 3), and which crash (E,).
+        """Return motion before and state after a substep, impulse of the ground (E, 3), and crash flags (E,).
 
-        The impulse is ``m`` times what contact adds to the velocity in the step of MuJoCo; exactly zero where nothing touches.
+        The impulse is ``m`` times the change of velocity by contact in MuJoCo's step; exactly zero without contact.
         """
         if self._model.articulation is not None:
             assert isinstance(state, JointedState)
@@ -161,9 +161,9 @@ class MujocoBackend(TorchBackend):
     def _bend_on_ground(
         self, ground: Ground, cfg: ContactCfg, state: JointedState, command: Tensor, dt: float
     ) -> tuple[MassState, BodyState, Tensor, Tensor]:
-        """Return the same of a vehicle that bends, with the impulse of obstacles.
+        """Return the same for an articulated vehicle, with the impulse of obstacles.
 
-        A touch of the ground is a crash by the speed of the sphere's lowest point before it.
+        A contact with the ground is a crash by the prior speed of the sphere's lowest point.
         """
         after = self._jointed_substep(state, command, dt)
         assert self._trees is not None
@@ -173,9 +173,9 @@ class MujocoBackend(TorchBackend):
 
 
 class MujocoWarpBackend(MujocoBackend):
-    """MuJoCo Warp on the CPU, in float32: as backend ``mujoco``, with the engine that NVIDIA's GPUs run.
+    """MuJoCo Warp on the CPU, in float32: like backend ``mujoco``, with the engine for NVIDIA GPUs.
 
-    It has not been run on a GPU, so that it does not claim to; see ``docs/guides/own_backend.md``.
+    It is untested on a GPU, hence not declared for it; see ``docs/guides/own_backend.md``.
     """
 
     name = "mujoco_warp"
@@ -185,7 +185,7 @@ class MujocoWarpBackend(MujocoBackend):
 
 
 def _floor_of(ground: Ground | None) -> tuple[Floor | None, ContactCfg | None]:
-    """Return the ground as MuJoCo has it and how it gives way; None and None if it does not push."""
+    """Return the ground for MuJoCo and its contact parameters; None and None for a ground without force."""
     if ground is None or ground.cfg is None:
         return None, None
     spheres = ground.spheres.double().tolist()

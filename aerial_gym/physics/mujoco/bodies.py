@@ -1,7 +1,7 @@
-"""Free bodies in MuJoCo, one an environment: what MuJoCo on the CPU and MuJoCo Warp have in common.
+"""Free bodies in MuJoCo, one per environment: the common part of MuJoCo on the CPU and MuJoCo Warp.
 
-A body's frame stands in its centre of mass, where Newton's and Euler's equations decouple, as in ``integrators``.
-Frames: world, z up; body. Letters: E environments, N rows of parameters: 1 where all environments share them, else E.
+A body's frame is at its centre of mass, where Newton's and Euler's equations decouple, as in ``integrators``.
+Frames: world, z up; body. Letters: E environments, N rows of parameters: 1 if shared by all environments, else E.
 """
 
 from abc import ABC, abstractmethod
@@ -22,14 +22,14 @@ from aerial_gym.physics.mujoco.softness import solver_numbers
 from aerial_gym.physics.vehicle import is_shared
 
 LARGEST = 1e9
-"""Numbers from here on are not given to MuJoCo, which warns in a file of its own from 1e10 on."""
+"""Numbers from here on are not passed to MuJoCo, which logs warnings to a file from 1e10 on."""
 
 MASS, INERTIA, COM, GRAVITY = 0, slice(1, 10), slice(10, 13), 13
-"""Places in a row of ``body_rows``."""
+"""Columns of ``body_rows``."""
 
 
 def load(module: str, *, backend: str) -> Any:
-    """Return an optional module; raise ``MissingDependencyError`` that names the backend's extra where it is not installed."""
+    """Import an optional module; raise ``MissingDependencyError`` with the backend's extra if it is not installed."""
     try:
         return import_module(module)
     except ImportError:
@@ -48,7 +48,7 @@ def principal_axes(mujoco: Any, inertia: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def body_rows(model: Model) -> Tensor:
-    """Return what MuJoCo must know of each body: mass, inertia, centre of mass and gravity, float64, (N, 14)."""
+    """Return MuJoCo's parameters of each body: mass, inertia, centre of mass and gravity, float64, (N, 14)."""
     vehicle = model.vehicle
     mass, inertia, com = vehicle.mass, vehicle.inertia, vehicle.com
     if all(map(is_shared, (mass, inertia, com))):
@@ -59,11 +59,11 @@ def body_rows(model: Model) -> Tensor:
 
 
 def compile_body(mujoco: Any, floor: Floor | None, cfg: ContactCfg | None, dt: float) -> Any:
-    """Return the ``MjModel`` of a free body of 1 kg and 1 kg m², into which the numbers of ``body_rows`` can be written.
+    """Compile the ``MjModel`` of a free body of 1 kg and 1 kg m² as a template for the numbers of ``body_rows``.
 
     Args:
-        floor: What can be touched, its spheres in the body frame of the robot file; None for nothing.
-        cfg: How it gives way; with a floor.
+        floor: Ground with contact spheres in the body frame of the robot file; None without contact.
+        cfg: Contact parameters; with a floor.
         dt: Length of a step [s].
     """
     unit = torch.ones(1, 1, dtype=torch.float64)
@@ -85,11 +85,11 @@ class Bodies(ABC):
 
     @abstractmethod
     def follow(self, rows: Tensor) -> None:
-        """Take the parameters of ``body_rows``, (N, 14); they may be those of the last step."""
+        """Set the parameters of ``body_rows``, (N, 14), which may be unchanged."""
 
     @abstractmethod
     def _inputs(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Return where a step begins: MuJoCo's qpos (E, 7), qvel (E, 6) and xfrc_applied of the body (E, 6)."""
+        """Return the inputs of a step: MuJoCo's qpos (E, 7), qvel (E, 6) and xfrc_applied of the body (E, 6)."""
 
     @abstractmethod
     def _step(self) -> None:
@@ -97,17 +97,17 @@ class Bodies(ABC):
 
     @abstractmethod
     def _outputs(self) -> tuple[Tensor, Tensor]:
-        """Return where a step ends: qpos (E, 7) and qvel (E, 6)."""
+        """Return the outputs of a step: qpos (E, 7) and qvel (E, 6)."""
 
     def move(self, state: MassState, force: Tensor, torque: Tensor) -> dict[str, Tensor]:
         """Return position, attitude and velocities after a step, by the names of ``MassState``, in the float type of ``state``.
 
-        Rows with a number that is not finite, or beyond ``LARGEST``, come out NaN; they are not stepped.
+        Rows with a number that is not finite, or beyond ``LARGEST``, become NaN without a step.
 
         Args:
             state: Motion of the centre of mass at the start.
-            force: Held over the step [N], body at its start, (E, 3).
-            torque: About the centre of mass, likewise [N m], (E, 3).
+            force: Constant over the step [N], body axes of its start, (E, 3).
+            torque: About the centre of mass [N m], likewise, (E, 3).
         """
         pose, twist, push = self._inputs()
         attitude = state.attitude.to(pose.dtype)

@@ -1,8 +1,8 @@
-"""Trees of links as MuJoCo reads them (MJCF); a rigid vehicle is a tree without joints.
+"""MJCF of trees of links for MuJoCo; a rigid vehicle is a tree without joints.
 
 Names: bodies ``link0`` (the base), ``link1``, ...; joint k, ``joint0``, ..., moves link k + 1.
-Frames: a body's origin is the link's; the base of a floating tree has a free joint, that of one on a stand is a mocap body,
-which stands where it is told to. Letters: E environments.
+Frames: a body's origin is the link's. The base of a floating tree has a free joint; that of a tree on a stand is a mocap body
+with a prescribed pose. Letters: E environments.
 Source: https://mujoco.readthedocs.io/en/stable/XMLreference.html
 """
 
@@ -20,15 +20,15 @@ from aerial_gym.physics.solids import Solids
 _JOINT_TYPES = {"revolute": "hinge", "prismatic": "slide"}
 
 LEAST_RADIUS = 1e-9
-"""In place of the radius of a contact point that has none [m]: MuJoCo's spheres have a size."""
+"""Radius of a contact point without one [m], because MuJoCo's spheres need a size."""
 
 IMPEDANCE_RATIO = 100.0
-"""How much harder friction is than the normal force: what sticks creeps by so much less."""
+"""Ratio of frictional to normal impedance; a sticking contact creeps less by this factor."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Floor:
-    """A horizontal plane and what of the base can touch it."""
+    """A horizontal plane, and the shapes of the vehicle that can touch it."""
 
     height: float
     """Of the plane [m], world; minus infinity where there is none."""
@@ -61,22 +61,22 @@ def write_mjcf(
 ) -> str:
     """Return the MJCF of one environment.
 
-    Without a floor nothing can touch anything, and MuJoCo leaves out collisions and constraints.
+    Without a floor MuJoCo computes neither collisions nor constraints.
 
     Args:
-        links: What they weigh. MuJoCo takes no moving link without mass, and no inertia whose largest principal moment is more
-            than the sum of the others.
-        env: Whose row of ``links`` is written, and whose obstacles.
+        links: Masses and inertias. MuJoCo refuses moving links without mass, and inertias whose largest principal moment is
+            above the sum of the others.
+        env: Environment whose row of ``links`` and whose obstacles are written.
         gravity: Downward acceleration of free fall [m/s²].
         dt: Time step [s].
-        integrator: Of MuJoCo's: ``Euler`` (semi-implicit), ``RK4``, ``implicit``, ``implicitfast``.
-        actuated: Whether controls push: force and torque of each link at its origin, in its axes, (L, 6), then the efforts of
-            joints, (D,). With a floor there are sensors as well: what all links together push on the ground and on each part.
+        integrator: One of MuJoCo's: ``Euler`` (semi-implicit), ``RK4``, ``implicit``, ``implicitfast``.
+        actuated: Whether there are controls: force and torque of each link at its origin, link axes, (L, 6), then the efforts
+            of joints, (D,). With a floor there are sensors as well: the force of all links on the ground and on each part.
     """
     root = Element("mujoco")
     SubElement(root, "compiler", boundmass="0", boundinertia="0", balanceinertia="false")
     option = SubElement(root, "option", timestep=repr(dt), integrator=integrator, gravity=numbers((0.0, 0.0, -gravity)))
-    flags = {"warmstart": "disable"}  # a step depends on nothing but its state
+    flags = {"warmstart": "disable"}  # makes a step depend on its state only
     world = SubElement(root, "worldbody")
     if floor is None:
         flags |= {"contact": "disable", "constraint": "disable"}
@@ -103,7 +103,7 @@ def write_mjcf(
 
 
 def _add_shapes(root: Element, floor: Floor, bodies: Sequence[Element]) -> None:
-    """Let spheres touch the ground and nothing else, and shapes the obstacles and in pairs each other, and nothing else."""
+    """Enable contacts of spheres with the ground, and of shapes with obstacles and in the listed pairs, and no others."""
     on = floor.on_links
     for place, (x, y, z, radius) in enumerate(floor.spheres):
         body, size = bodies[0 if on is None else on.links[place]], repr(max(radius, LEAST_RADIUS))
@@ -127,7 +127,7 @@ def _add_shapes(root: Element, floor: Floor, bodies: Sequence[Element]) -> None:
 
 
 def _add_sensors(root: Element, floor: Floor) -> None:
-    """Measure the force of all links on the ground, and on each part of an obstacle [N], world."""
+    """Add sensors for the force of all links on the ground, and on each part of an obstacle [N], world."""
     touched = [{"geom2": "ground"}] if isfinite(floor.height) else []
     if floor.solids is not None:
         touched += [{"body2": f"part{place}"} for place in range(floor.solids.part.shape[1])]
@@ -148,9 +148,9 @@ def _add_actuators(root: Element, tree: Tree, bodies: Sequence[Element]) -> None
 
 
 def _add_body(parent: Element, tree: Tree, link: int, links: Links, env: int) -> Element:
-    """Return the body of a link, hung on its parent by its joint."""
+    """Add the body of a link to its parent, with its joint."""
     body = SubElement(parent, "body", name=f"link{link}")
-    body.set("simple", "false")  # MuJoCo would leave out what is zero here, and numbers are written later
+    body.set("simple", "false")  # keeps terms that are zero here, because numbers are written later
     if link:
         joint = tree.joints[link - 1]
         x, y, z, w = joint.attitude
@@ -172,5 +172,5 @@ def _add_body(parent: Element, tree: Tree, link: int, links: Links, env: int) ->
 
 
 def _set_friction(root: Element, friction: float) -> None:
-    """Give all shapes a coefficient; MuJoCo takes the larger one of two that touch, and there is no friction of turning."""
+    """Set the friction of all shapes, without torsional friction; MuJoCo takes the larger value of two in contact."""
     SubElement(SubElement(root, "default"), "geom", friction=numbers((friction, 0.0, 0.0)), condim="3")

@@ -1,8 +1,8 @@
-"""Obstacles in MuJoCo: a body with one shape for each part, so that all environments have models of one size.
+"""Obstacles in MuJoCo: a body with one shape for each part, so that the models of all environments have equal sizes.
 
-Obstacles at rest are MuJoCo's mocap bodies, which are where they are told to be and have no velocity. Where obstacles move,
-all of them are free bodies that gravity leaves alone, so heavy that a vehicle does not move them, and each step begins where
-and as fast as the scene has them: contacts see the speed of their surfaces.
+Obstacles at rest are mocap bodies, with prescribed poses and without velocity. If any obstacle moves, all are free bodies
+without gravity, too heavy for a vehicle to move. Each step starts them at the poses and velocities of the scene, so that
+contacts have the speed of their surfaces.
 Names: ``part0``, ``part1``, ... Letters: E environments, P parts of all obstacles of an environment.
 Source: https://mujoco.readthedocs.io/en/stable/modeling.html, on mocap bodies.
 """
@@ -14,19 +14,19 @@ from aerial_gym.errors import CapabilityError
 from aerial_gym.physics.solids import Solid, Solids
 
 HEAVY = 1e9
-"""Mass [kg], and moment of inertia [kg m²], of an obstacle that moves: a vehicle of 1 kg yields 1e-9 more than to a wall."""
+"""Mass [kg] and moment of inertia [kg m²] of a moving obstacle; a vehicle of 1 kg moves it by a share of 1e-9."""
 
 TOLERANCE = 1e-11 / HEAVY
-"""Of the solver where obstacles move: MuJoCo counts it in the mean inertia of all that moves, here of the heavy ones."""
+"""Solver tolerance with moving obstacles: MuJoCo scales it by the mean inertia, here that of the heavy bodies."""
 
 ON_LINKS = "2"
-"""The bit by which obstacles touch links; without it shapes of links touch nothing but each other."""
+"""Contact bit of obstacles and links; shapes of links without it touch each other only."""
 
 _TYPES = {"box": "box", "sphere": "sphere", "capsule": "capsule", "cylinder": "cylinder", "mesh": "mesh"}
 
 
 def check_solids(solids: Solids) -> None:
-    """Raise ``CapabilityError`` that names a shape which MuJoCo has not."""
+    """Raise ``CapabilityError`` for a shape that MuJoCo does not support."""
     for solid in solids.table:
         if solid.kind not in _TYPES:
             raise CapabilityError(
@@ -41,7 +41,7 @@ def check_solids(solids: Solids) -> None:
 
 
 def add_solids(root: Element, world: Element, solids: Solids, env: int) -> None:
-    """Write the obstacles of one environment, where it has none a part that touches nothing."""
+    """Write the obstacles of one environment; missing parts become shapes without contact."""
     asset = SubElement(root, "asset")
     for row, solid in enumerate(solids.table):
         if solid.kind == "mesh":
@@ -64,5 +64,5 @@ def _geom(solid: Solid, row: int) -> dict[str, str]:
 
 
 def numbers(values: Iterable[float]) -> str:
-    """Return numbers in text, to the last digit."""
+    """Return numbers as text with all digits."""
     return " ".join(repr(float(value)) for value in values)

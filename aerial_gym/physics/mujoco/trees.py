@@ -1,14 +1,14 @@
-"""Trees of links in MuJoCo: vehicles that bend, and what MuJoCo on the CPU and MuJoCo Warp have in common.
+"""Trees of links in MuJoCo for articulated vehicles: the common part of MuJoCo on the CPU and MuJoCo Warp.
 
-Springs and dampers in joints are those of the end of a step, as in ``steppers.implicit_euler``, with the stiffness K and the
-damping C that the laws have in each state:
+Springs and dampers in joints act at the end of a step, as in ``steppers.implicit_euler``, with the stiffness K and the
+damping C of the laws in each state:
 
     (M + C dt + K dt²) a = f - h - K q' dt.
 
-What stands beside M is the armature of a joint in MuJoCo, the inertia of a rotor that turns with it. So contacts, which MuJoCo
-finds before it steps, know it too: were it MuJoCo's own damping, which its ``Euler`` takes only after them, a contact would
-push a light link as if nothing held its joint. Damping of links is no joint's: it is held through a step as other forces on
-links are, and refused where it would turn their motion round. A base on a stand is where its state says, and stands still.
+The terms beside M enter MuJoCo as armature of a joint, the inertia of a geared rotor. So contacts, which MuJoCo solves before
+the step, include them. With MuJoCo's own damping, which its ``Euler`` applies only afterwards, a contact would push a light
+link as if its joint were free. Damping of links is constant over a step, like other forces on links, and is refused if it
+would reverse their motion. A base on a stand keeps its pose.
 Letters: E environments, L links, D joints, P parts of obstacles.
 """
 
@@ -31,11 +31,11 @@ from aerial_gym.physics.mujoco.mjcf import Floor, write_mjcf
 from aerial_gym.physics.solids import Solids
 
 LEAST_MASS = 1e-9
-"""Of links without mass [kg], and the moments of those without inertia [kg m²]: MuJoCo's links have some."""
+"""Mass [kg] and moments of inertia [kg m²] for links without any, because MuJoCo needs them."""
 
 
 def template(tree: Tree, dt: float, *, floor: Floor | None = None, env: int = 0) -> str:
-    """Return the MJCF of a tree whose links weigh 1 kg and 1 kg m², into which other weights can be written; with controls."""
+    """Return the template MJCF of a tree with controls, whose links have 1 kg and 1 kg m²."""
     shape = (env + 1, tree.num_links)
     zero, unit = torch.zeros(1).expand(*shape, 3), torch.eye(3).expand(*shape, 3, 3)
     links = Links(mass=torch.ones(1).expand(shape), com=zero, inertia=unit)
@@ -43,7 +43,7 @@ def template(tree: Tree, dt: float, *, floor: Floor | None = None, env: int = 0)
 
 
 class Trees(ABC):
-    """The trees of all environments, whose ``move`` is a step as ``steppers.implicit_euler`` is."""
+    """Trees of all environments, with ``move`` in place of ``steppers.implicit_euler``."""
 
     backend: str
     """What messages call it."""
@@ -54,13 +54,13 @@ class Trees(ABC):
     def __init__(
         self, first: Any, tree: Tree, num_envs: int, dt: float, *, solids: Solids | None, touches: bool
     ) -> None:
-        """Find in a compiled model where MuJoCo has what.
+        """Find the indices of links, joints and controls in a compiled model.
 
         Args:
-            first: An ``MjModel`` of the tree, of ``template`` or like it.
+            first: An ``MjModel`` of the tree, from ``template``.
             dt: Length of a step [s].
             solids: The obstacles; None without any.
-            touches: Whether anything can be touched.
+            touches: Whether contacts are possible.
         """
         self.dt, self._tree, self._solids, self._touches = dt, tree, solids, touches
         names = [f"joint{k}" for k in range(tree.num_joints)]
@@ -81,7 +81,7 @@ class Trees(ABC):
 
     @abstractmethod
     def _write_links(self, changed: list[int], mass: Tensor, com: Tensor, inertia: Tensor, down: Tensor) -> None:
-        """Write what links weigh in some environments, K of them.
+        """Write masses and inertias of links in K environments.
 
         Args:
             mass: Of each link [kg], (K, L).
@@ -96,15 +96,15 @@ class Trees(ABC):
 
     @abstractmethod
     def _run(self, start: Tensor, control: Tensor) -> tuple[Tensor, Tensor | None]:
-        """Return where a step ends, and the force on what is touched [N], world, (E, 3); None where nothing can be.
+        """Return the state after a step, and the force on ground and obstacles [N], world, (E, 3); None without contact.
 
         Args:
-            start: Where it begins, qpos and qvel, (E, nq + nv).
-            control: What is held: controls, places of mocap bodies, and their attitudes wxyz, (E, nu + 7 M).
+            start: qpos and qvel at the start, (E, nq + nv).
+            control: Constant inputs: controls, positions of mocap bodies, and their attitudes wxyz, (E, nu + 7 M).
         """
 
     def _follow(self, links: Links, gravity: float, armature: Tensor) -> None:
-        """Write what has changed; gravity is how fast what falls gets faster [m/s²]."""
+        """Write changed parameters; gravity is the downward acceleration of free fall [m/s²]."""
         down = torch.zeros_like(armature[:, :1]).expand(-1, 3) + torch.tensor(
             (0.0, 0.0, -gravity), dtype=armature.dtype
         )
@@ -137,13 +137,13 @@ class Trees(ABC):
         damping: LinkDamping | None = None,
         fluid: LinkFluid | None = None,
     ) -> TreeState:
-        """Return the state after one step; arguments as for ``steppers.implicit_euler``, but that damping is held through it.
+        """Return the state after one step; arguments as for ``steppers.implicit_euler``, but with constant damping of links.
 
-        Rows with a number that is not finite, or beyond ``bodies.LARGEST``, come out NaN; they are not stepped.
+        Rows with a number that is not finite, or beyond ``bodies.LARGEST``, become NaN without a step.
 
         Raises:
-            ShapeError: If it was made for another tree or for steps of another length.
-            CapabilityError: If damping of links is too large to be held, or if they set a fluid in motion.
+            ShapeError: If the models are of another tree or step length.
+            CapabilityError: If damping of links is too large for a step, or if links have added mass.
         """
         if fluid is not None:
             raise CapabilityError(
@@ -159,7 +159,7 @@ class Trees(ABC):
         return with_drive(step, laws, drive, friction, state)
 
     def _start_of(self, state: TreeState, swings: TreeState) -> tuple[Tensor, Tensor]:
-        """Return where a step begins in MuJoCo, (E, nq + nv), and M mocap bodies: places, then attitudes wxyz, (E, 7 M)."""
+        """Return MuJoCo's initial state, (E, nq + nv), and M mocap bodies: positions, then attitudes wxyz, (E, 7 M)."""
         start = torch.zeros(len(state.position), len(self._rest[0]), dtype=torch.float64)
         start[:, self._joint_pos], start[:, self._joint_vel] = state.joint_pos.double(), swings.joint_vel.double()
         places, turns = [start[:, :0]], [start[:, :0]]
@@ -184,8 +184,8 @@ class Trees(ABC):
     ) -> TreeState:
         """Return the state after one step under efforts of joints, taken at its end.
 
-        MuJoCo steps from the rates at which turning and swinging are taken, and what they gain is added to those of the state.
-        Where something can be touched these are the rates at the start, at which MuJoCo's contacts push.
+        MuJoCo steps from the rates of the velocity-dependent terms, and their change is added to the rates of the state. With
+        contacts these are the rates at the start, at which MuJoCo's contacts act.
         """
         if self._touches:
             swings = state
@@ -207,10 +207,10 @@ class Trees(ABC):
         return moved_on(state, lin_vel, ang_vel, state.joint_vel + end[:, self._joint_vel] - swings.joint_vel, dt)
 
     def _check_held(self, links: Links, acts: LinkDamping) -> None:
-        """Raise ``CapabilityError`` where damping that is held through a step takes more than all of a link's motion.
+        """Raise ``CapabilityError`` if constant damping over a step would reverse a link's motion.
 
-        Below ``D dt = m`` of each link, and likewise for torques, no motion of the tree turns round:
-        ``sum J^T D J dt <= sum J^T m J <= M``. A link that is a point has no inertia to say so by.
+        Below ``D dt = m`` of each link, and likewise for torques, no motion of the tree reverses:
+        ``sum J^T D J dt <= sum J^T m J <= M``. A point link has no inertia for this test.
         """
         dt = self.dt
         along, about = (part.amax(-1) for part in acts.damping.split(3, dim=-1))

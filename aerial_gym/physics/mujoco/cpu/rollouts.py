@@ -1,6 +1,6 @@
-"""MuJoCo on the CPU, in float64: its threaded rollout of one step of all environments, for free bodies and trees of links.
+"""MuJoCo on the CPU, in float64: threaded rollout of one step of all environments, for free bodies and trees of links.
 
-Letters: E environments, N models or rows of parameters: 1 where all environments share them, else E; L links, D joints.
+Letters: E environments, N models or rows of parameters: 1 if shared by all environments, else E; L links, D joints.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,14 +21,14 @@ from aerial_gym.physics.mujoco.trees import Trees, template
 
 
 class Rollouts:
-    """Models, and a thread for each that torch uses."""
+    """Models with a threaded rollout, with torch's number of threads."""
 
     def __init__(self, models: Sequence[Any], num_envs: int, *control: str) -> None:
-        """Take the models.
+        """Allocate the rollout.
 
         Args:
-            models: An ``MjModel`` each, N of them, that differ in numbers alone, not in how many of each thing there are.
-            control: What is held over a step, entries of ``mjtState`` in the order of that.
+            models: N ``MjModel`` of equal structure.
+            control: Inputs that are constant over a step, entries of ``mjtState`` in its order.
         """
         self.mujoco, rollout = (load(name, backend="mujoco") for name in ("mujoco", "mujoco.rollout"))
         self.models, self._num_envs, xml_model = list(models), num_envs, models[0]
@@ -46,34 +46,34 @@ class Rollouts:
 
     @property
     def start(self) -> Tensor:
-        """Where a step begins: time, qpos and qvel, (E, 1 + nq + nv)."""
+        """State at the start of a step: time, qpos and qvel, (E, 1 + nq + nv)."""
         return torch.from_numpy(self._start)
 
     @property
     def control(self) -> Tensor:
-        """What is held over it, (E, ...)."""
+        """Constant inputs of a step, (E, ...)."""
         return torch.from_numpy(self._control)[:, 0]
 
     @property
     def end(self) -> Tensor:
-        """Where a step ends, as ``start``."""
+        """State at the end of a step, as ``start``."""
         return torch.from_numpy(self._end)[:, 0]
 
     @property
     def sensor_values(self) -> Tensor:
-        """What sensors measured at the start of a step, (E, ...)."""
+        """Sensor values at the start of a step, (E, ...)."""
         return torch.from_numpy(self._sensed)[:, 0]
 
     def replace(self, models: Mapping[int, Any]) -> None:
-        """Take other models in the places of some."""
+        """Replace some models."""
         for k, model in models.items():
             self.models[k] = model
         for model in self.models:
-            model.opt.disableflags |= self.mujoco.mjtDisableBit.mjDSBL_AUTORESET  # of what accelerates beyond measure
+            model.opt.disableflags |= self.mujoco.mjtDisableBit.mjDSBL_AUTORESET  # on divergence
         self._of_env = self.models * (self._num_envs // len(self.models))
 
     def step(self) -> None:
-        """Go from ``start`` to ``end``."""
+        """Advance from ``start`` to ``end``."""
         self._rollout.rollout(
             self._of_env,
             self._data,
@@ -89,10 +89,10 @@ class Rollouts:
     def write_bodies(
         self, changed: list[int], places: list[int], mass: Tensor, com: Tensor, inertia: Tensor, gravity: Tensor
     ) -> None:
-        """Write what bodies weigh into some models.
+        """Write the masses of bodies into some models.
 
         Args:
-            places: MuJoCo's numbers of the bodies, L of them.
+            places: MuJoCo's indices of the bodies, L of them.
             mass: Of each [kg], (K, L).
             com: Centres of mass, axes of each body [m], (K, L, 3).
             inertia: About these [kg m²], (K, L, 3, 3).
@@ -105,12 +105,12 @@ class Rollouts:
             model.body_iquat[places], model.opt.gravity[:] = axes, fall
 
     def refer_contacts_to(self, changed: list[int], places: list[int], mass: Tensor) -> None:
-        """Let contacts of bodies in some models give way by the mass of the whole [kg], (K,), not by that of a link alone."""
+        """Scale the contacts of bodies in some models by the whole mass [kg], (K,), instead of that of one link."""
         for k, whole in zip(changed, mass.tolist(), strict=True):
             self.models[k].body_invweight0[places, 0] = 1.0 / whole
 
     def settle(self, changed: list[int]) -> None:
-        """Let MuJoCo work out what follows from the numbers that were written into some models."""
+        """Let MuJoCo update the derived constants of some models."""
         for k in changed:
             self.mujoco.mj_setConst(self.models[k], self._scratch)
 
@@ -124,10 +124,10 @@ class RolloutBodies(Bodies):
         """Make the models.
 
         Args:
-            rows: Of ``body_rows``, (N, 14).
+            rows: Parameters of ``body_rows``, (N, 14).
             dt: Length of a step [s].
-            floor: What can be touched, its spheres in the body frame of the robot file; None for nothing.
-            cfg: How it gives way; with a floor.
+            floor: Ground with contact spheres in the body frame of the robot file; None without contact.
+            cfg: Contact parameters; with a floor.
 
         Raises:
             MissingDependencyError: If MuJoCo is not installed.
@@ -139,7 +139,7 @@ class RolloutBodies(Bodies):
         self.follow(rows)
 
     def follow(self, rows: Tensor) -> None:
-        """Write the parameters (N, 14) that have changed since the last call into the models."""
+        """Write the changed parameters of (N, 14) into the models."""
         changed = (rows != self._rows).any(dim=-1).nonzero().squeeze(-1).tolist()
         if not changed:
             return
@@ -180,12 +180,12 @@ class RolloutTrees(Trees):
 
         Args:
             dt: Length of a step [s].
-            floor: What can be touched; None for nothing.
-            cfg: How it gives way; with a floor.
+            floor: Ground and obstacles; None without contact.
+            cfg: Contact parameters; with a floor.
 
         Raises:
             MissingDependencyError: If MuJoCo is not installed.
-            CapabilityError: If an obstacle has a shape that MuJoCo has not.
+            CapabilityError: If MuJoCo does not support the shape of an obstacle.
         """
         solids = None if floor is None else floor.solids
         if solids is not None:
@@ -198,7 +198,7 @@ class RolloutTrees(Trees):
         self._rollouts = Rollouts(list(models.values()), num_envs, *held)
 
     def _compile(self, envs: list[int], tree: Tree, dt: float) -> dict[int, Any]:
-        """Return the models of some environments, into which weights can be written; each of a kind is read once."""
+        """Compile template models of some environments; each kind is compiled once."""
         mujoco, kinds, found = load("mujoco", backend="mujoco"), {}, {}
         for env in envs:
             kind = (
@@ -220,7 +220,7 @@ class RolloutTrees(Trees):
         super()._follow(links, gravity, armature)
 
     def _renew(self) -> None:
-        """Make the models anew of environments whose obstacles have become others."""
+        """Rebuild the models of environments with new obstacles."""
         if self._solids is None:
             return
         changed = (self._solids.part != self._part).any(dim=-1).nonzero().squeeze(-1).tolist()

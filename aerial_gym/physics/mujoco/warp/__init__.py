@@ -1,1 +1,1 @@
-"""MuJoCo Warp: one model with numbers of their own for all environments, stepped by Warp kernels in float32."""
+"""MuJoCo Warp: one model with parameters per environment, stepped by Warp kernels in float32."""

@@ -14,7 +14,7 @@ from aerial_gym.physics.mujoco.bodies import COM, GRAVITY, INERTIA, MASS, Bodies
 from aerial_gym.physics.mujoco.mjcf import Floor
 
 _WRITTEN = ("body_mass", "body_subtreemass", "body_inertia", "body_iquat", "body_invweight0", "geom_pos")
-"""Of MuJoCo's model."""
+"""Arrays of MuJoCo's model that are written."""
 
 _mass, _com, _gravity = wp.constant(MASS), wp.constant(COM.start), wp.constant(GRAVITY)
 _inertia = wp.constant(INERTIA.start)
@@ -34,7 +34,7 @@ def _write_rows(
     geom_pos_out: wp.array2d[wp.vec3],  # (N, 1 + C) [m], the floor first
     gravity_out: wp.array[wp.vec3],  # (N,) [m/s²]
 ):
-    """Write mass, principal moments and their axes, the mobility to which contacts refer, places of spheres, and gravity."""
+    """Write mass, principal moments and axes, the mobility for contacts, positions of spheres, and gravity."""
     n = wp.tid()
     mass = rows[n, _mass]
     inertia = wp.mat33()
@@ -60,7 +60,7 @@ def _write_rows(
 
 
 class WarpBodies(Bodies):
-    """One model with parameters of their own for each row, and all environments in one set of launches."""
+    """One model with parameters for each row, and all environments in one set of launches."""
 
     def __init__(
         self,

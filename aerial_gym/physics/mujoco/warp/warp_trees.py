@@ -1,4 +1,4 @@
-"""Trees of links in MuJoCo Warp, in float32; they touch nothing.
+"""Trees of links in MuJoCo Warp, in float32, without contacts.
 
 Letters: E environments, L links, D joints.
 """
@@ -18,11 +18,11 @@ from aerial_gym.physics.mujoco.mjcf import Floor
 from aerial_gym.physics.mujoco.trees import Trees, template
 
 _WRITTEN = ("body_mass", "body_subtreemass", "body_ipos", "body_inertia", "body_iquat", "dof_armature")
-"""Of MuJoCo's model, with a row for each environment."""
+"""Arrays of MuJoCo's model with a row for each environment."""
 
 
 class WarpTrees(Trees):
-    """One model with numbers of their own for each environment, and all of these in one set of launches."""
+    """One model with parameters for each environment, and all environments in one set of launches."""
 
     backend = "mujoco_warp"
 
