@@ -170,7 +170,7 @@ class _Loader(Loader):
         names = MODULES.get(module.__name__.removeprefix(_PREFIX), {})
         if (
             "" in names
-        ):  # Python looks for a module where a package has no such name, and takes what stands in its place
+        ):  # Python imports a submodule for a name that the package lacks, and takes its entry in sys.modules
             sys.modules[module.__name__] = resolve(names[""])
             return
         if "*" in names:

@@ -24,7 +24,7 @@ HOOKS = (
     "get_return_tuple",
     "check_and_update_curriculum_level",
 )
-"""Methods by which task classes there say what they reward and observe; nothing here would call them."""
+"""Hooks of that simulator's task classes for rewards and observations, which this task never calls."""
 
 
 class RegisteredTask(gymnasium.Env):

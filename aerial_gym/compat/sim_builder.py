@@ -57,7 +57,7 @@ class SimBuilder:
                 replace it.
 
         Raises:
-            UnknownNameError: If a name is not registered; the message lists what is.
+            UnknownNameError: If a name is not registered; the message lists the registered ones.
             ConfigError: If a configuration class has a field that is unknown or means nothing here.
         """
         del args, use_warp, headless

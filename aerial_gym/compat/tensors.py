@@ -159,7 +159,7 @@ KEYS: dict[str, Key] = {
     "CONST_GLOBAL_VERTEX_TO_ASSET_INDEX_TENSOR": _gone(_MESHES),
     "VERTEX_MAPS_PER_ENV_ORIGINAL": _gone(_MESHES),
 }
-"""Every key of that simulator, and what stands in its place."""
+"""Every key of that simulator with its counterpart."""
 
 
 class TensorDict(MutableMapping[str, Any]):

@@ -22,7 +22,7 @@ class SphereCfg:
     """Radius [m], > 0."""
 
     link: str = BASE
-    """Of a robot that bends: what carries it, ``base`` or the joint by whose name the link goes."""
+    """For robots with joints: the carrier, ``base`` or the joint whose link carries it."""
 
     def __post_init__(self) -> None:
         require_finite(self, "center")
@@ -43,7 +43,7 @@ class BoxCfg:
     """ZYX roll, pitch, yaw from body to box [rad], within +-2 pi."""
 
     link: str = BASE
-    """Of a robot that bends: what carries it, ``base`` or the joint by whose name the link goes."""
+    """For robots with joints: the carrier, ``base`` or the joint whose link carries it."""
 
     def __post_init__(self) -> None:
         _check_place(self)
@@ -69,7 +69,7 @@ class CapsuleCfg:
     """ZYX roll, pitch, yaw from body to capsule [rad], within +-2 pi."""
 
     link: str = BASE
-    """Of a robot that bends: what carries it, ``base`` or the joint by whose name the link goes."""
+    """For robots with joints: the carrier, ``base`` or the joint whose link carries it."""
 
     def __post_init__(self) -> None:
         _check_place(self)
@@ -93,13 +93,13 @@ class CollisionCfg:
     """Spheres; a vehicle that lands on one rolls."""
 
     boxes: tuple[BoxCfg, ...] = ()
-    """Boxes, which touch surfaces with their corners, and obstacles with what is deepest in them as well."""
+    """Boxes, which touch surfaces with their corners, and obstacles with their deepest point as well."""
 
     capsules: tuple[CapsuleCfg, ...] = ()
     """Capsules, such as skids, arms and rods."""
 
     between_links: bool = False
-    """Whether links of a robot that bends collide with each other too: every two shapes on different links but those whose
+    """Whether links of a robot with joints collide with each other too: every two shapes on different links but those whose
     links a joint connects (links without shapes between are passed over), and those that touch in the reference pose."""
 
     source: str

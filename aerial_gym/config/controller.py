@@ -91,14 +91,14 @@ class ControlCfg:
     """Damping ratios along the world axes, >= 0, in place of the derived ones."""
 
     max_yaw_rate: float = pi / 3
-    """Yaw rate commands are clamped to this [rad/s], > 0. The default is that of the Aerial Gym Simulator."""
+    """Limit of yaw rate commands [rad/s], > 0. The default is from the Aerial Gym Simulator."""
 
     max_inclination: float | None = None
     """Largest tilt that position, velocity and acceleration control ask for [rad], > 0 and < pi/2. If not given it leaves half
     of the thrust beyond the weight for climbing and turning, and is pi/3 at most."""
 
     buoyancy: float = 0.0
-    """Upward force of water that the autopilot counts on [N], >= 0: that of the effect ``buoyancy``, if it is known."""
+    """Buoyancy that the autopilot assumes [N], >= 0: the value of the effect ``buoyancy``, if known."""
 
     gains: LeeGainsCfg | None = None
     """Explicit gains in place of all of the above, as identified or published for this robot."""
@@ -196,7 +196,7 @@ class ControllerCfg:
     """Name in ``aerial_gym.control.laws.LAWS``."""
 
     gains: LeeGainsCfg | None = None
-    """Explicit gains for whatever robot flies; if not given, gains are the robot's own (``RobotCfg.control``)."""
+    """Explicit gains for any robot; if not given, the robot's own gains (``RobotCfg.control``)."""
 
     allocation: Literal["prioritised", "clamp"] = "prioritised"
     """Priority under rotor saturation: with ``prioritised`` yaw first, then thrust, then roll and pitch; with
@@ -229,7 +229,7 @@ class ControllerCfg:
     wants is held in between."""
 
     delay: float = 0.0
-    """Until what the law wants has reached its rate loop [s], >= 0: a whole number of physics steps."""
+    """Delay between the law and its rate loop [s], >= 0: a whole number of physics steps."""
 
     action_delay: float = 0.0
     """Until an action has reached the law [s], >= 0: a whole number of physics steps. The first one after a reset acts at

@@ -138,7 +138,7 @@ class EnvironmentCfg:
     """Obstacles; an empty list is open space."""
 
     track: TrackCfg | None = None
-    """A race track, whose gates and poles are the first assets: ``gates`` and ``poles``, always kept, as many as it has."""
+    """A race track; its gates and poles are the first assets, ``gates`` and ``poles``, and are always kept."""
 
     clearance: float = 0.0
     """A reset leaves at least this much room around the robot's collision shapes [m], >= 0; 0 asks for nothing.

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from aerial_gym.config.range_sensor import RangeSensorCfg
 
 FRAMES = ("world", "sensor")
-"""In which points and normals may stand."""
+"""Frames of points and normals."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +35,7 @@ class LightCfg:
     """Share of the light that comes from the sky, 0 to 1; the rest comes from the sun."""
 
     shadows: bool = True
-    """Whether what stands before the sun or a lamp takes its light away: one more ray for every lit pixel and light."""
+    """Whether sun and lamps throw shadows: one more ray for every lit pixel and light."""
 
     sky: Vec3 = (0.6, 0.75, 0.9)
     """Red, green, blue of a pixel that sees nothing, each 0 to 1."""
@@ -55,7 +55,7 @@ class ImagesCfg:
     """Images of a sensor besides the distance."""
 
     segmentation: bool = True
-    """Whether it also writes the semantic id of what each pixel sees."""
+    """Whether it also writes the segmentation id of each pixel."""
 
     points: str | None = None
     """Frame in which it also writes the point that each pixel sees [m]: ``world`` or ``sensor``; None writes none."""

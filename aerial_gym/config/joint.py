@@ -157,7 +157,7 @@ class JointCfg:
     """By which mounts and other joints name its link."""
 
     parent: str = BASE
-    """The joint on whose link it sits, or ``base``."""
+    """Parent: the joint whose link carries it, or ``base``."""
 
     kind: str = "revolute"
     """``revolute`` or ``prismatic``."""
@@ -210,7 +210,7 @@ class JointsCfg:
     """All joints, in the order of joint states."""
 
     layout: tuple[JointCfg, ...]
-    """A joint stands behind the one on whose link it sits."""
+    """Joints, each after its parent."""
 
     floating: bool = True
     """Whether the base flies; else it is held where a reset puts it."""
@@ -258,7 +258,7 @@ class JointsCfg:
         """Return the number of a link: 0 of the base, k + 1 of joint k.
 
         Raises:
-            ConfigError: If there is none of that name.
+            ConfigError: If no joint has that name.
         """
         if name not in self.link_names:
             raise ConfigError(f"no link {name!r}: the links are {', '.join(self.link_names)}")

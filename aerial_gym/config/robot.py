@@ -233,7 +233,7 @@ class RobotCfg:
     """Sensors and IMUs on board: a name or a file in the sensor's own place, or a mount of its own."""
 
     imu: str | None = None
-    """One more IMU, before those of ``sensors``: the short way to ``imu_measurement``."""
+    """Additional IMU, before those of ``sensors``, which writes ``imu_measurement``."""
 
     visible: bool = False
     """Whether sensors see it: its own, and the shadow that it throws in their colour images. It is never part of the

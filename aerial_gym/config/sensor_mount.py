@@ -43,7 +43,7 @@ class SensorMountCfg:
 
     parent: str = BODY
     """Carrier: ``body``, or the joint whose link carries it. The pose is relative to its frame; that of a
-    link is the body's in the reference pose, so that the place of a sensor on an arm is told from the body origin."""
+    link is the body's in the reference pose, so that the place of a sensor on an arm counts from the body origin."""
 
     position: Vec3 | None = None
     """Of the sensor in its parent's frame [m]."""

@@ -80,7 +80,7 @@ class PartCfg:
     """Segmentation id of this part; the asset's own if not given."""
 
     link: str = BASE
-    """Of a robot that bends: the joint on whose link it sits; its place is in body axes, in the reference pose."""
+    """For robots with joints: the joint whose link carries it; its pose is in body axes, in the reference pose."""
 
     def __post_init__(self) -> None:
         if self.shape.kind in ("compound", "urdf"):
@@ -136,7 +136,7 @@ class ShapeCfg:
     """Segmentation ids of named links of a URDF, 0 to 99; every name must be one of its links."""
 
     first_link_id: int | None = None
-    """The other links of a URDF count up from here; if not given, they show what the asset shows."""
+    """First id of the other links of a URDF, counting up; if not given, they have the asset's id."""
 
     def __post_init__(self) -> None:
         if self.kind not in _FIELDS_OF_KIND:

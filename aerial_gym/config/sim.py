@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from aerial_gym.config.robot import require_finite, require_positive
 
 STANDARD_GRAVITY = 9.81
-"""Downward acceleration of free fall [m/s²] where a sim or a flight does not say another."""
+"""Default downward acceleration of free fall [m/s²] of sims and flights."""
 
 
 @dataclass(frozen=True, kw_only=True)

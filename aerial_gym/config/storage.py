@@ -68,13 +68,13 @@ def read_archive(path: str | Path, what: str) -> dict[str, Any]:
     try:
         with zipfile.ZipFile(path) as archive:
             damaged = archive.testzip()
-    except Exception:  # whatever a damaged archive makes the library raise
+    except Exception:  # the library raises various types for a damaged archive
         raise ConfigError(f"{what} {path}: cannot be read, it is damaged or no {what}") from None
     if damaged is not None:
         raise ConfigError(f"{what} {path}: is damaged, the check sum of {damaged!r} is another")
     try:
         payload = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception:  # torch's own text advises to run what the file holds
+    except Exception:  # torch's own message advises to unpickle arbitrary code
         raise ConfigError(
             f"{what} {path}: holds something other than tensors, numbers and text; it is not opened"
         ) from None

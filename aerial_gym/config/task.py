@@ -28,7 +28,7 @@ OBSERVATIONS = "observations"
 """Name under which a task gives the group ``policy``; no other group or image has it."""
 
 ENDS = ("crash", "success")
-"""Names under which the rewards of ends are logged; no other reward has one of them."""
+"""Names under which rewards of ends are logged, reserved for them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +124,7 @@ class TaskCfg:
     """Registered controller."""
 
     num_envs: int
-    """Environments if the caller does not say, >= 1."""
+    """Default number of environments, >= 1."""
 
     episode_len_steps: int
     """Steps after which an episode times out, >= 1."""
@@ -142,14 +142,14 @@ class TaskCfg:
     """Command generator; None for a task without a target."""
 
     action: ActionCfg = field(default_factory=ActionCfg)
-    """From what a policy gives to what the controller takes."""
+    """Conversion of actions to controller commands."""
 
     observations: Mapping[str, tuple[ObservationCfg, ...]]
     """Groups of terms in the order in which they stand side by side: ``policy``, and as many others as wanted, such as
     ``critic`` with what only a simulation knows."""
 
     faults: Mapping[str, FaultCfg] = field(default_factory=dict)
-    """Faults of sensors by a name of their own, which observations name."""
+    """Sensor faults by the names that observations refer to."""
 
     encoder: str | None = None
     """Encoder file (``aerial-gym train-encoder``), or one that comes with the package, whose latents of the first range
@@ -159,7 +159,7 @@ class TaskCfg:
     """Raw images beside the groups, by the name under which they are given."""
 
     rewards: Mapping[str, RewardCfg]
-    """Terms of the reward by a name of their own, under which each is logged; the reward is their sum."""
+    """Reward terms by the names under which they are logged; the reward is their sum."""
 
     crash_reward: EndRewardCfg | None = None
     """Reward of a crash; None: that of the terms alone."""
@@ -168,7 +168,7 @@ class TaskCfg:
     """Reward of a success in the step in which it counts, likewise."""
 
     terminations: Mapping[str, TerminationCfg]
-    """By what episodes end, beside their length, by a name of its own."""
+    """Conditions that end episodes, besides the time limit, by name."""
 
     curriculum: CurriculumCfg | None = None
     """Number of obstacles by the share of successes; None has all of them from the start."""

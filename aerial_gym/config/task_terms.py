@@ -11,7 +11,7 @@ from aerial_gym.config.checks import MAX_MADE, require_not_negative, require_pos
 from aerial_gym.errors import ConfigError
 
 Params = Mapping[str, object]
-"""Numbers, texts and lists of them by name; the term that takes them says of what kind each is."""
+"""Numbers, texts and lists of them by name; the term's signature gives their types."""
 
 Steps = int | tuple[int, int]
 """Steps, or the fewest and the most, of which every episode draws one number."""
@@ -47,7 +47,7 @@ class FaultCfg:
     second."""
 
     duration_steps: Steps
-    """For how many steps it lasts, likewise."""
+    """Duration in steps, likewise."""
 
     size: float = 0.0
     """Largest offset of a jump, in the unit of the term, > 0; of each entry it is uniform from minus it to it."""
@@ -164,7 +164,7 @@ class RewardCfg:
     """Added to the weight where the curriculum has come to its highest level, a share of it before; finite."""
 
     times: tuple[str, ...] = ()
-    """Names of reward terms, without such a factor of their own, by whose sum it is multiplied; none: by 1."""
+    """Names of reward terms, without factors of their own, whose sum multiplies this term; none: 1."""
 
     def __post_init__(self) -> None:
         require_single(self, "weight", "difficulty_weight")

@@ -238,7 +238,7 @@ class EnvManager:
     def traced(self) -> Mapping[str, Tensor]:
         """The robots' motion and actions of this instant by the keys of the GTD, with gradients; of a ``differentiable`` one.
 
-        The tensors are never written again: a loss may hold those of many steps. The GTD shows the same in float32.
+        The tensors are never overwritten, so that a loss may hold those of many steps. The GTD has float32 copies.
         """
         return self._graph().traced
 
@@ -268,7 +268,7 @@ class EnvManager:
         """Hold an action for one environment step; nothing is reset, no sensor is read.
 
         Args:
-            actions: What the robots do, (E, U).
+            actions: Of the robots, (E, U).
             env_actions: New twists of the obstacles that move by twist: velocity [m/s] and angular velocity [rad/s],
                 world, (E, A, 6). Without them obstacles keep the twists they have.
         """
@@ -325,7 +325,7 @@ class EnvManager:
             self.asset_manager.reset(mask)
         self.robot_manager.reset(mask)
         if all_rows and self.robot_manager.differentiable is not None:
-            self.detach()  # no row goes on
+            self.detach()  # all rows restart
         self.asset_manager.place_track(mask)
         if place is not None:
             place(mask)
@@ -367,7 +367,7 @@ class EnvManager:
         """Go on from a state that this or an equal simulation has saved. Waits for the device.
 
         Raises:
-            ConfigError: If it is the state of another simulation; the message says what differs.
+            ConfigError: If it is the state of another simulation; the message names the difference.
         """
         check_state(state, self.state_tensors())
         self.restore(state)
@@ -380,7 +380,7 @@ class EnvManager:
         self.asset_manager.draw_kinds()
         restore(state, self.state_tensors())
         self.robot_manager.refresh_model()
-        restore(state, self.state_tensors())  # once more what was built anew
+        restore(state, self.state_tensors())  # again, for tensors rebuilt above
 
     def render(self, mask: Tensor | None = None) -> None:
         """Read every sensor at the states of this instant; those of the environments in ``mask``, bool (E,), alone if given."""

@@ -105,11 +105,11 @@ class SimBuilder:
             differentiable: Whether gradients flow from actions through ``step`` to the states in ``env.traced``; on backend
                 ``torch``. ``env.detach()`` ends them.
             dtype: Float type of those states; the GTD shows them in float32.
-            randomize: What resets draw, by the names of quantities, beside what robot and environment say; the same names
+            randomize: Quantities drawn at resets, by name, in addition to those of robot and environment; the same names
                 replace it.
 
         Raises:
-            UnknownNameError: If a name is not registered; the message lists what is.
+            UnknownNameError: If a name is not registered; the message lists the registered ones.
             ConfigError: If a number is impossible.
             CapabilityError: If the backend cannot do what is asked, with the name of one that can, or it does not
                 fit into memory.

@@ -1,6 +1,6 @@
 """Image networks of a policy as C99: convolutions with stride 2, in work space of the caller's state.
 
-Letters: C x H x W an image or what a layer makes of it.
+Letters: C x H x W the shape of an image or of a layer's output.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from aerial_gym.export.module import FlownPolicy
 from aerial_gym.rl_training.policies.body import Pixels
 
 PIXELS = {"uint8": ("unsigned char", " / 255.0f"), "float32": ("float", "")}
-"""Type in C of the pixels of a kind of image, and what makes a share of one."""
+"""C type of the pixels of an image dtype, and the conversion to a share."""
 
 CONVOLVE = """
 /* Kernel of 3 x 3, every second pixel, a border of zeros. */
@@ -108,8 +108,8 @@ def passing(
         network: Holds these layers in order.
         shape: Of the image, in ``state->work[0]``.
         array: Defines a constant array of a name.
-        name: What arrays and widths are called by.
-        out: Array that receives what the last layer makes.
+        name: Prefix of the names of arrays and widths.
+        out: Array that receives the last layer's output.
     """
     arrays, code, place, work, wide = [], [], 0, prod(shape), 0
     layers = [layer for layer in network.modules() if isinstance(layer, (nn.Conv2d, nn.Linear))]

@@ -35,7 +35,7 @@ CHECKED_WITH_IMAGES = 10_000
 """With how many where it sees images, each of which costs as much as hundreds of vectors."""
 
 SPREAD = 2.0
-"""They are drawn about the mean of what the policy has seen, with this many of its standard deviations."""
+"""Spread of random observations around the normaliser's mean, in its standard deviations."""
 
 
 @dataclass(frozen=True, kw_only=True)

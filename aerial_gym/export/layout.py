@@ -91,7 +91,7 @@ class Layout:
         """Return the layout in the folder of an exported policy.
 
         Raises:
-            ConfigError: If there is none, or it is not one.
+            ConfigError: If the file is missing or no layout.
         """
         try:
             found = json.loads((folder / LAYOUT_FILE).read_text(encoding="utf-8"))
@@ -110,7 +110,7 @@ def layout_of(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, source
     """Return the layout of a policy that flies a task.
 
     Raises:
-        ConfigError: If it sees images alone, or the name is none that C allows.
+        ConfigError: If the policy observes images alone, or the name is no C identifier.
     """
     from aerial_gym import __version__
 

@@ -72,8 +72,8 @@ def load_exported(file: str | Path) -> ExportedPilot:
     """Return the pilot of an exported file: ``.onnx``, ``.pt`` or ``.c``; ``policy.json`` stands beside it.
 
     Raises:
-        ConfigError: If it is none of these, or there is no layout beside it.
-        CapabilityError: If what runs it is missing: the package onnxruntime, or gcc.
+        ConfigError: If the format is unknown, or ``policy.json`` is missing.
+        CapabilityError: If its runtime is missing: the package onnxruntime, or gcc.
     """
     file = Path(file)
     layout = Layout.read(file.parent)

@@ -18,7 +18,7 @@ PACKAGE = Path(__file__).resolve().parents[1]
 """Folder of the package, left out of digests so that they do not depend on the place of installation."""
 
 IDENTITY = "identity."
-"""In front of the names of digests, which say of which simulation a state is."""
+"""Prefix of the names of digests, which identify the simulation of a state."""
 
 
 def digest(config: object) -> Tensor:

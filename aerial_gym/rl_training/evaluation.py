@@ -67,7 +67,7 @@ class Evaluation:
     """Mean time after which the flights that succeeded ended [s]: of a race the time it took; None if none did."""
 
     gates_passed_mean: float | None
-    """Mean number of gates that a flight passed; None where there are none."""
+    """Mean number of gates passed per flight; None without gates."""
 
     return_mean: float
     """Mean sum of rewards."""
@@ -88,7 +88,7 @@ def evaluate(
     """Return the figures of one episode in every environment of ``task``, which is reset first.
 
     Args:
-        policy: What flies; it forgets at the start, and where an episode ends.
+        policy: Its memory is cleared at the start and at the end of each episode.
         task: Where to fly; its seed decides the starts.
         success_radius: Distance that counts as there [m]; the task's own, or ``SUCCESS_RADIUS_M``, if not given.
         on_step: Called with the number of the step and of all steps.

@@ -144,7 +144,7 @@ def joined_ranks(device: str) -> Iterator[Ranks]:
     with _others_may_end():
         torch.distributed.init_process_group("cpu:gloo,cuda:nccl" if kind.type == "cuda" else "gloo")
     yield Ranks(torch.distributed.get_rank(), torch.distributed.get_world_size(), joined=True)
-    # Not after an error: NCCL would wait for what others never do, and for graphs that the error's traceback keeps.
+    # Not after an error: NCCL would wait for collectives that others never reach, and for graphs held by the traceback.
     gc.collect()  # graphs that hold calls of NCCL go before it
     torch.distributed.destroy_process_group()
 

@@ -44,7 +44,7 @@ from aerial_gym.physics.fused.hook import Substep
 from aerial_gym.robots.touching_pairs import SceneMotion, TouchingPairs
 
 ROUNDS = wp.constant(4)  # as many as a vec4 has numbers
-"""Planes at which a robot can stop in one substep, and sweeps that look for them."""
+"""Largest number of planes that stop a robot in one substep, and of sweeps for them."""
 
 PASSES = 8
 """Shifts along each normal in turn; between two walls at a right angle one is enough."""
@@ -68,7 +68,7 @@ class Stop:
 
     crosses: wp.bool  # whether anything is in its way
     crashes: wp.bool  # whether it touches at the speed of a crash
-    pairs: TouchingPairs  # what it crosses
+    pairs: TouchingPairs  # crossed surfaces
     position: wp.vec3  # of the centre of mass, world [m]
     attitude: wp.quat  # body to world
 
@@ -117,7 +117,7 @@ def _make_nearest_pair(*, cores: bool) -> wp.Function:
         pair.point = core.center
         pair.distance = primitive_distance(solid, core.center)
         pair.normal = primitive_normal(solid, core.center)
-        if wp.static(cores):  # noqa: SIM102 (only what stands alone is static)
+        if wp.static(cores):  # noqa: SIM102 (wp.static must be the whole condition)
             if own.reach > own.radius:
                 found = nearest_of_core(solid, core, pair.distance)
                 if found.distance < pair.distance:
@@ -136,7 +136,7 @@ def _make_push_on(*, cores: bool) -> wp.Function:
     @wp.func
     def push_on(shape: Shape, own: BodyShape, core: Core) -> wp.vec3:
         """Return the contact normal on a shape, in the frame of the part; 0 if both are clearly apart."""
-        if wp.static(cores):  # noqa: SIM102 (only what stands alone is static)
+        if wp.static(cores):  # noqa: SIM102 (wp.static must be the whole condition)
             if own.reach > own.radius:
                 limit = own.radius + 2.0 * NEAR + 2.0 * EDGE * (own.reach + shape.radius)
                 found = nearest_of_core(shape, core, limit)
@@ -241,13 +241,13 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
         push = wp.vec4()
         face = wp.int32(0)
         is_mesh = wp.static(meshes) and shape.kind == MESH
-        if wp.static(meshes):  # noqa: SIM102 (only what stands alone is static)
+        if wp.static(meshes):  # noqa: SIM102 (wp.static must be the whole condition)
             if is_mesh:
                 middle, half = swept_box(shape, other, own, path, 0.0, 1.0)
                 query = wp.mesh_query_aabb(shape.mesh, middle - half, middle + half)
         more = wp.bool(True)
         while more:
-            if wp.static(meshes):  # noqa: SIM102 (only what stands alone is static)
+            if wp.static(meshes):  # noqa: SIM102 (wp.static must be the whole condition)
                 if is_mesh:
                     more = wp.mesh_query_aabb_next(query, face)
                     if more:
@@ -294,7 +294,7 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
                 other.attitude = q
                 lin_vel = motion.lin_vel[env, a]
                 spin = motion.ang_vel[env, a]
-                if wp.static(moves):  # noqa: SIM102 (only what stands alone is static)
+                if wp.static(moves):  # noqa: SIM102 (wp.static must be the whole condition)
                     if is_there and instance_moves(obstacles, env, a):
                         to, _q, _v = moved(obstacles, env, a, x, q, lin_vel, done.dt)
                         if next_turning(obstacles, env, a, x, lin_vel, done.dt, 0.0) < 1.0:

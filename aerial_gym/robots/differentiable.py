@@ -141,7 +141,7 @@ class DifferentiableBackend:
 
     def reset(self, mask: Tensor) -> None:
         """Take the environments in ``mask``, bool (E,), from where they are shown; the graphs of others go on."""
-        mask = mask.clone()  # the graph keeps it; the next reset writes the mask anew
+        mask = mask.clone()  # the graph keeps it; the next reset overwrites the mask
         self._inner.forget(mask)
         rows = mask.unsqueeze(-1)
 

@@ -44,10 +44,10 @@ def report_drawn_ranges(
         gravity: Downward acceleration of free fall [m/s²].
         dt: Time step [s].
         names: Of robot and controller, for people.
-        randomize: What is drawn, by name; gains are judged by ``check_closed_loop``.
+        randomize: Random quantities by name; ``check_closed_loop`` checks gains.
 
     Raises:
-        ConfigError: If a quantity is unknown, or a range leaves what is possible.
+        ConfigError: If a quantity is unknown, or a range exceeds the possible values.
     """
     if controller.law not in LAWS or not randomize:
         return

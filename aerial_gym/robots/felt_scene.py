@@ -15,7 +15,7 @@ from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 class FeltScene:
     """Tensors of the GTD; None where no effect feels it."""
 
-    other_position: Tensor | None  # Vehicle whose wake streams down [m], world, (E, 3)
+    other_position: Tensor | None  # Position of the vehicle above, source of downwash [m], world, (E, 3)
     surface_height: Tensor | None  # Height of the first surface below the robot [m], world, (E, 1)
 
     @property

@@ -9,7 +9,7 @@ FOLLOWS = {"robot_mass": ("body.mass", "payload_mass"), "robot_inertia": ("body.
 """Keys that follow from the robot: the quantity that may be drawn, and the effect that may be written, in their place."""
 
 LIVE = ("drawn_parameters", "downwash_position")
-"""Keys beside the effects whose writes the next step takes."""
+"""Writable keys besides those of effects; the next step uses the new values."""
 
 
 def guard_parameters(

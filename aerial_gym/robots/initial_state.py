@@ -67,7 +67,7 @@ def start_row(e: int, given: StartArrays):
         place = take_place(given.count)
         if place < given.rows.shape[0]:
             given.rows[place, 0] = e
-            given.rows[place, 1] = given.random.episode[e] - 1  # the new one has begun
+            given.rows[place, 1] = given.random.episode[e] - 1  # the counter is already at the new episode
             given.rows[place, 2] = given.episode_step[e]
             given.rows[place, 3] = given.non_finite[e]
     given.non_finite[e] = 0
@@ -165,7 +165,7 @@ class InitialState:
             bounds: Lower and upper corner [m], world, each (E, 3); read at every reset.
             rest_speed: Rotor speeds of a new state [rad/s], (R,).
             actions: Set to zero, (E, U).
-            noticed: What becomes of rows that were not finite, and what is cleared.
+            noticed: Table of non-finite rows, and the flags to clear.
         """
         self._mask = random.mask
         noticed = noticed or Noticed.placeholder(state)

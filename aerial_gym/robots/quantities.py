@@ -156,7 +156,7 @@ QUANTITIES: dict[str, Quantity] = {
         unit="-", width="one", apply=_charge, how=("value",), meaning="share of the charge with which an episode begins"
     ),
 }
-"""Every quantity of the vehicle itself; those of effects, gains and sensors follow from what a robot has."""
+"""Quantities of every vehicle; those of effects, gains and sensors depend on the robot."""
 
 
 def table() -> str:

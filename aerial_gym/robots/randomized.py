@@ -82,7 +82,7 @@ class Randomized:
             gains: Declared gains by name, (E, 3); none where the controller has none.
 
         Raises:
-            ConfigError: If a quantity is unknown, or a range leaves what is possible; the message says which.
+            ConfigError: If a quantity is unknown, or a range exceeds the possible values.
         """
         check_names(cfg, known_quantities(robot, gains=gains))
         self._num_rotors, self._declared = declared.num_rotors, declared

@@ -69,12 +69,12 @@ class RobotManager:
         """Build vehicle and controller, declare the tensors and hand everything to the backend.
 
         Args:
-            controller: What turns actions into rotor commands.
+            controller: Law from actions to rotor commands.
             gtd: Receives the robot's keys; its size R is the number of rotors.
             root_state: This robot's row of ``vec_root_tensor``, (E, 13).
             random: Of everything that is drawn for the robot.
             gradients: Float type of the motion through which gradients flow; None where they do not.
-            randomize: What a reset draws, by the names of quantities.
+            randomize: Quantities drawn at reset, by name.
 
         Raises:
             CapabilityError: If the backend cannot run on this device, or an effect.
@@ -212,7 +212,7 @@ class RobotManager:
         if self.articulation is not None:
             check_drawn_bodies(randomized, self.articulation, [params for _, params in self._effects])
         if randomized.drawn_gains:
-            self.controller.own_gains()  # pyright: ignore[reportAttributeAccessIssue] - whoever has gains has it
+            self.controller.own_gains()  # pyright: ignore[reportAttributeAccessIssue] - every controller with gains has it
         names = ", ".join(f"{each.name} ({each.cfg.how})" for each in randomized.drawn)
         self._values = self._gtd.declare(TensorSpec(
             key="drawn_parameters", shape=("E", randomized.width), unit="see draws()", frame="-", owner="robot",
@@ -262,7 +262,7 @@ class RobotManager:
         effects = EffectsByKind(self._effects)  # which the model keeps reading
         declared = self.declared.rows()
         changed = {name: rows for name, rows in model.vehicle.rows().items() if rows is not declared[name]}
-        own = {id(rows): own_rows(rows) for rows in changed.values()}  # what is one tensor by two names stays one
+        own = {id(rows): own_rows(rows) for rows in changed.values()}  # a tensor with two names stays one tensor
         vehicle = replace(model.vehicle, **{name: own[id(rows)] for name, rows in changed.items()})
         inverse = own_rows(model.inertia_inverse) if "inertia" in changed else model.inertia_inverse
         self.model = replace(model, vehicle=vehicle, inertia_inverse=inverse, effects=effects)
@@ -386,7 +386,7 @@ class RobotManager:
             self._update.mark_written()
         if self._joints is not None:
             self._joints.reset()
-        self.backend.reset(mask)  # which takes up what was drawn
+        self.backend.reset(mask)  # uses the draws
         self._show_load()
 
     def _show_load(self) -> None:

@@ -24,7 +24,7 @@ KEPT_STEPS = 64
 """Last steps of a row that are kept."""
 
 LOOK_EVERY = 64
-"""Steps between two looks of the host at a GPU."""
+"""Steps between two reads of a GPU's table by the host."""
 
 _log = logging.getLogger(__name__)
 
@@ -107,7 +107,7 @@ class Watch:
 
         Args:
             gtd: Holds state, command, ``non_finite`` and ``sim_steps``.
-            noticed: What the reset of such rows writes.
+            noticed: Table that the reset of such rows writes.
             num_actions: Width V of the policy's action.
             dt: Length of a step [s].
             keep: Whether to keep the last steps of rows.

@@ -47,11 +47,11 @@ def make_pool(*, lanes: int, rows: int) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def pool(
-        image: wp.array3d[float],  # (E, H, W), negative where there is no distance
+        image: wp.array3d[float],  # (E, H, W), negative without a hit
         # params
         height: int,  # of a cell [pixels]
         width: int,
-        largest: float,  # what counts as 1, in the unit of the image
+        largest: float,  # image value of 1, in the unit of the image
         empty: float,  # written where no pixel holds a distance
         first: int,  # environment of the first thread
         # out
@@ -85,7 +85,7 @@ class NearestInCells:
         Args:
             image: Distances, (E, S, H, W) float32, of which sensor 0 is read; negative where there is none.
             cells: Rows and columns of cells. Cells have equal size, rounded up; the last ones may be smaller.
-            largest: What counts as 1, in the unit of the image.
+            largest: Image value of 1, in the unit of the image.
             empty: The number of a cell in which no pixel holds a distance.
 
         Raises:

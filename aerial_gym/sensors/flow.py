@@ -24,7 +24,7 @@ from aerial_gym.interop import RecordedLaunch
 from aerial_gym.sensors.rays import ray_table
 
 LEAST_DISTANCE = wp.constant(1.0e-6)
-"""Distance [m] that stands for less: what touches the pupil would flow infinitely fast."""
+"""Lower limit of the distance [m], as flow diverges at the pupil."""
 
 
 @wp.struct

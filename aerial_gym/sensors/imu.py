@@ -88,7 +88,7 @@ class Outputs:
     fresh: wp.array2d[wp.vec3]  # (E, 2) last sample, IMU [m/s²], [rad/s]
     line: wp.array3d[wp.vec3]  # (L, E, 2) samples on their way
     place: wp.array[wp.int32]  # (E,) of the oldest of them
-    measurement: wp.array2d[wp.vec3]  # (E, 2) what appears
+    measurement: wp.array2d[wp.vec3]  # (E, 2) output after latency
 
 
 @wp.func
@@ -269,9 +269,9 @@ class Imu:
             measurement_out: Receives specific force [m/s²] and angular velocity [rad/s], IMU axes, float32, (E, 6).
             dt: Time between two samples [s], > 0: the environment step.
             gravity: Downward acceleration of free fall [m/s²].
-            random: Of the draws; that of seed 0 if not given.
+            random: Of the draws; seed 0 if not given.
             number: Of the IMU on its robot: two IMUs are drawn apart.
-            errors: What effects of the robot on its inertial sensors come to, (E, 24), as ``imu_errors`` gives it; read at
+            errors: IMU errors by effects of the robot, (E, 24), from ``imu_errors``; read at
                 every sample and reset. None where it has none.
             pose: Of its mount in the body frame, instead of its own placement; what is drawn deviates from there.
 

@@ -47,7 +47,7 @@ class ImuSet:
             ang_vel: Angular velocity [rad/s], body, (E, 3).
             dt: Time between two calls of ``measure`` [s]: the environment step.
             gravity: Downward acceleration of free fall [m/s²].
-            errors: What effects of the robot on its inertial sensors come to, (E, 24); None where it has none.
+            errors: IMU errors by effects of the robot, (E, 24); None without such effects.
             carriers: Links that carry IMUs, by the names of these; the others sit on the body.
 
         Raises:

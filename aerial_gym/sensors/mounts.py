@@ -74,7 +74,7 @@ def sensor_by_name(name: str) -> SensorCfg:
     """Return a registered range sensor or IMU, or the one in a file if ``name`` ends in ``.yaml``.
 
     Raises:
-        UnknownNameError: If nothing is registered under the name; the message lists what is.
+        UnknownNameError: If the name is not registered; the message lists the registered ones.
     """
     if is_file(name):
         return load_any_sensor(name)
@@ -140,7 +140,7 @@ def mounted_sensors(
     """Return the range sensors and the IMUs of a robot by the names of their mounts, in order.
 
     Args:
-        places: What is drawn of their places, by ``sensors.NAME.position`` [m] and ``sensors.NAME.euler`` [rad].
+        places: Random offsets of placements, by ``sensors.NAME.position`` [m] and ``sensors.NAME.euler`` [rad].
 
     Raises:
         UnknownNameError: If a sensor is not registered.

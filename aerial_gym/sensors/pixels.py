@@ -1,6 +1,6 @@
 """Pixel values of a ray hit: distance with noise, limits and normalisation, id, point, normal and face.
 
-The function that writes a pixel is composed for the images that a sensor has; what it has not costs nothing.
+The function that writes a pixel is composed for the sensor's images; others cost nothing.
 
 Frames: a sensor looks along its own x. Letters: E environments, M mounts (sensors of all environments), N pixels, P parts.
 """
@@ -31,10 +31,10 @@ class Outputs:
     images: tuple[str, ...]  # Names in `IMAGES`
     in_world: tuple[str, ...]  # Images in the world frame
     noise: bool  # Whether the distance has noise
-    shadows: bool  # Whether what stands before a light takes it away
+    shadows: bool  # Whether lights throw shadows
     lamps: bool  # Whether the environment has lamps
-    scan: bool  # Whether the columns of a scanning lidar are seen from seats of their own
-    frames: bool = False  # Whether every image looks along other rays
+    scan: bool  # Whether columns of a scanning lidar have poses of their own
+    frames: bool = False  # Whether the ray pattern differs between images
 
 
 @wp.struct
@@ -96,7 +96,7 @@ def limit_of(limits: Limits, ray: wp.vec3) -> float:
 
 
 SURFACE_SKIN = wp.constant(1.0e-4)
-"""Share of a distance by which a point may lie behind what the second camera sees there: round-off of its surface."""
+"""Relative distance by which a point may lie behind the second camera's hit, for rounding."""
 
 
 @wp.func
@@ -120,7 +120,7 @@ def make_write_pixel(outputs: Outputs) -> wp.Function:
     points, points_in_world = "points" in written, "points" in in_world
     normals, normals_in_world = "normals" in written, "normals" in in_world
 
-    # mount: whose image it is; seat: from where it is seen, a row of the view, which differs for a turning lidar
+    # mount: the image; seat: the pose, a row of the view, which differs from the mount for a scanning lidar
     @wp.func
     def write_pixel(
         images: images_type,

@@ -21,7 +21,7 @@ class Rays:
     direction: wp.array[wp.vec3]  # (K * T * L,) sensor frame, unit
     pixel: wp.array[wp.int32]  # (T * L,) which pixel of the image, or -1
     middle: wp.array[wp.vec3]  # (K * T,) of the directions of a tile
-    spread: wp.array[wp.vec3]  # (K * T,) half of what they differ by
+    spread: wp.array[wp.vec3]  # (K * T,) half of their spread
     num_tiles: wp.int32  # T
     frame: wp.array[wp.int32]  # (E,) which of K frames an image has; empty where K is 1
     group: wp.array[wp.int32]  # (T,) group of columns of a turning lidar

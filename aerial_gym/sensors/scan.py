@@ -145,7 +145,7 @@ class Scan:
 
         Args:
             cfg: A sensor that measures its columns one after the other.
-            scene: What it sees; instances move with the velocities in its ``asset_state``.
+            scene: Instances move with the velocities in its ``asset_state``.
             pose: Body position and attitude, mount position and attitude.
             twist: Velocity of the body's origin, world, and angular velocity, body frame.
             link: Number of the link that carries the sensor, and whose these are.

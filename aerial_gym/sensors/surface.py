@@ -18,7 +18,7 @@ class Surface:
         wp.int32
     )  # triangle of a mesh; box: 2 axis + (1 for the upper side); cylinder: 0 side, 1 bottom, 2 top; else 0
     place: wp.vec3  # in the frame of the bounding box
-    slope: wp.vec3  # gradient there of what is 0 on the surface and positive outside
+    slope: wp.vec3  # gradient of a function that is 0 on the surface and positive outside
     u: wp.float32  # weights of the corners of a triangle: u, v, 1 - u - v
     v: wp.float32
 

@@ -20,7 +20,7 @@ class Tiles:
     direction: Tensor  # Unit directions, (T * L, 3)
     pixel: Tensor  # Pixel index of a ray, -1 for a copy, int32, (T * L,), in every frame
     middle: Tensor  # Middle of the directions of a tile, (T, 3)
-    spread: Tensor  # Half of what they differ by on each axis, (T, 3)
+    spread: Tensor  # Half of their spread on each axis, (T, 3)
 
     @property
     def num_tiles(self) -> int:

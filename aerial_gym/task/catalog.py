@@ -110,14 +110,14 @@ class TaskRegistry(Registry[TaskCfg]):
         )
         make = imported(name) if ":" in name else None
         made = make if isinstance(make, type) else Task
-        return usual_settings(lambda: made(cfg, built, capture=capture))()  # also what a user's class makes
+        return usual_settings(lambda: made(cfg, built, capture=capture))()  # also for a user's class
 
     def get(self, name: str) -> TaskCfg:
         """Return the configuration of a task: a registered one, that of a file, or that of ``module:Name``.
 
         Raises:
-            UnknownNameError: If there is none.
-            ConfigError: If the file or what the module holds is no task.
+            UnknownNameError: If it does not exist.
+            ConfigError: If the file or the object is no task.
         """
         if name.endswith((".yaml", ".yml")):
             cfg = load_task(name)
@@ -167,7 +167,7 @@ def _import(name: str, folder: Path) -> ModuleType:
     """Return the module of a name or file, relative to a folder.
 
     Raises:
-        UnknownNameError: If there is none.
+        UnknownNameError: If it does not exist.
     """
     here = str(folder.resolve())
     sys.path.append(here)
@@ -200,7 +200,7 @@ def _module_of(path: Path) -> ModuleType:
 
 
 CELL_TERMS = ("nearest_in_cells", "log_nearest_in_cells")
-"""Terms in whose place latents may stand: 64 numbers of an image, unless their parameters say otherwise."""
+"""Terms that latents can replace: 64 numbers of an image with default parameters."""
 
 
 def with_encoder(cfg: TaskCfg, encoder: str) -> TaskCfg:

@@ -33,7 +33,7 @@ def resolve_action(cfg: TaskCfg, command: tuple[str, ...]) -> tuple[Action, dict
 
     Raises:
         UnknownNameError: If there is no such transform.
-        ConfigError: If its numbers do not fit, or it gives what the controller does not take.
+        ConfigError: If its numbers do not fit, or its command does not suit the controller.
     """
     name = cfg.action.transform
     action = ACTIONS.get(name)
@@ -45,7 +45,7 @@ def resolve_groups(cfg: TaskCfg, values: Values, *, num_commands: int) -> dict[s
     """Return the observation terms of each group with the entries that each returns.
 
     Raises:
-        UnknownNameError: If there is no such term, key or buffer, or a term reads what is not there.
+        UnknownNameError: If a term, key or buffer does not exist.
         ConfigError: If numbers or shapes do not fit.
     """
     rows = values.gtd["sim_steps"].shape[0]
@@ -72,7 +72,7 @@ def _observation(name: str, values: Values) -> Term:
     try:
         values.find(name, "observation term")
     except UnknownNameError:
-        OBSERVATIONS.get(name)  # says which there are
+        OBSERVATIONS.get(name)  # raises with the known names
         raise
     return whole(name)
 
@@ -81,7 +81,7 @@ def resolve_rewards(cfg: TaskCfg, values: Values, command: tuple[str, ...]) -> d
     """Return the reward terms by name.
 
     Raises:
-        UnknownNameError: If there is no such term, or it reads what is not there.
+        UnknownNameError: If a term or one of its inputs does not exist.
         ConfigError: If numbers, shapes or the controller do not fit.
     """
     found = {}
@@ -131,12 +131,12 @@ def check_gradients(
     """Refuse terms that follow from the motion without gradient.
 
     Args:
-        rewards: Terms of the reward: what is true or false moves it in jumps.
-        observations: Terms of all groups; what is true or false is seen as it is.
+        rewards: Terms of the reward, in which booleans cause jumps.
+        observations: Terms of all groups, in which booleans are allowed.
         images: Names of raw images among the observations.
 
     Raises:
-        CapabilityError: If there is one; its name and what it reads are in the message.
+        CapabilityError: If there is one; the message has its name and its input.
     """
     for image in images:
         raise CapabilityError(f"image {image!r}: has no gradient, and differentiable=True asks for one. Leave it out")

@@ -20,10 +20,10 @@ from aerial_gym.physics import vehicle_from_config
 from aerial_gym.task.terms.actions import ROTOR_RANGE
 
 PLACE_DIGITS = 6
-"""Decimals to which the directions of two rotors [rad] are the same: more than float32 has."""
+"""Decimals of rotor directions [rad] for comparison: beyond float32 precision."""
 
 FOUR = ((1.0, -1.0, -1.0, -1.0), (1.0, -1.0, 1.0, 1.0), (1.0, 1.0, 1.0, -1.0), (1.0, 1.0, -1.0, 1.0))
-"""What each rotor of a quadrotor does, clockwise from the nose: lift, and torque about x, y and z; the first one turns
+"""Effect of each rotor of a quadrotor, clockwise from the nose: lift, and torque about x, y and z; the first one turns
 counterclockwise, as that of every quadrotor that comes with the package."""
 
 POSSIBLE = 1e-6

@@ -91,7 +91,7 @@ class Task:
 
         Raises:
             CapabilityError: If a capture is asked for on the CPU or of gradients, or a term has no gradient and is to have one.
-            UnknownNameError: If there is no such term, generator or action, or what it reads.
+            UnknownNameError: If a term, generator, action, or one of their inputs does not exist.
             ConfigError: If these do not fit together, or not the robot or the environment.
         """
         num_commands, command = env.robot_manager.num_actions, env.robot_manager.action_names
@@ -392,7 +392,7 @@ class Task:
     def save_state(self) -> dict[str, Tensor]:
         """Return a copy of everything on which the future depends, the simulation included (``EnvManager.save_state``).
 
-        What a policy remembers is its own.
+        The memory of a policy is not included.
         """
         return saved(self.state_tensors())
 
@@ -400,7 +400,7 @@ class Task:
         """Go on from a state that this or an equal task has saved; call ``reset`` once before. Waits for the device.
 
         Raises:
-            ConfigError: If it is the state of another task or simulation; the message says what differs.
+            ConfigError: If it is the state of another task or simulation; the message names the difference.
         """
         check_state(state, self.state_tensors())
         self.env.restore(state)

@@ -33,7 +33,7 @@ def names_of(asked: tuple[str, ...]) -> list[str]:
     """Return the names of renderers; ``all`` stands for every one.
 
     Raises:
-        UnknownNameError: If there is none of that name.
+        UnknownNameError: If no renderer has that name.
     """
     known = (*MESHES, *RENDER_PEERS)
     for name in asked:
@@ -117,7 +117,7 @@ class Beside:
     def _mesh(self, name: str, time: Callable[[Callable[[], object], Tensor], list[float]]) -> Other:
         meshes = MergedMeshes(self._scene, self._direction, shared=name == "shared_mesh")
         meshes.cast()
-        count = DISTINCT if name == "merged" else len(meshes.depth)  # the others are drawn again, not anew
+        count = DISTINCT if name == "merged" else len(meshes.depth)  # the others repeat these
         flat = all(shape.kind == "box" for shape in self._scene.shapes)  # round shapes are drawn as polyhedra
         ours = self._images.distance[:count]
         differing = share_that_differs(name, ours, meshes.depth[:count], most=MOST_THAT_DIFFER if flat else 1.0)

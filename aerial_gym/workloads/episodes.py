@@ -10,7 +10,7 @@ from aerial_gym.task import Task
 from aerial_gym.workloads.measure import WorkloadError
 
 STEPS_PER_BATCH = 10
-"""Task steps between two looks at the clock's loop."""
+"""Task steps per timed batch."""
 
 CHECKED_STEPS = 32
 """Task steps, not timed, that are looked at before and after each repeat."""

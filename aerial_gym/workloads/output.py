@@ -33,7 +33,7 @@ def provenance(*packages: str) -> dict[str, object]:
     """Return versions, commit and the load of the machine [processes that want a core, mean of a minute].
 
     Args:
-        packages: Others whose versions are told as well.
+        packages: Further packages whose versions are reported.
     """
     versions = {name.removesuffix("-lang").replace("-", "_"): _version(name) for name in (*PACKAGES, *packages)}
     return {

@@ -23,7 +23,7 @@ def time_parts(task: Task, actions: torch.Tensor, *, repeats: int) -> dict[str, 
     """Return the median time of each part of a step [s], with CUDA events on a GPU and by the clock on a CPU.
 
     Args:
-        actions: What is flown meanwhile, (E, U).
+        actions: During the measurement, (E, U).
         repeats: Figures of which the median is taken.
     """
     found = {}

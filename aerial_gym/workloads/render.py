@@ -78,7 +78,7 @@ class RenderBench:
 
         Raises:
             AerialGymError: If a name is unknown or a number impossible.
-            WorkloadError: If our images are not those of the scene.
+            WorkloadError: If the images do not show the scene.
         """
         from aerial_gym.errors import ConfigError
         from aerial_gym.interop import resolve_device

@@ -51,7 +51,7 @@ def make_scene(name: str, num_envs: int, *, device: torch.device) -> RenderScene
     """Return a scene by name, or a registered environment as its first reset leaves it.
 
     Raises:
-        UnknownNameError: If there is none of that name.
+        UnknownNameError: If no scene has that name.
     """
     if name in SCENES:
         return SCENES[name](num_envs, device)
@@ -148,7 +148,7 @@ def _clutter(num_envs: int, device: torch.device) -> RenderScene:
     shares = torch.rand(num_envs, len(shapes) - 6, 3, generator=draw)
     state[:, 6:, :3] = torch.tensor([-4.5, -4.5, 0.5]) + shares * torch.tensor([9.0, 9.0, 5.0])
     angles = math.pi * (2.0 * torch.rand(num_envs, len(shapes) - 6, 3, generator=draw) - 1.0)
-    angles[:, -8:, :2] = 0.0  # trees stand
+    angles[:, -8:, :2] = 0.0  # trees are upright
     state[:, -8:, 2] = 0.0
     state[:, 6:, 3:7] = quat_from_euler(angles)
     position = torch.tensor([-4.0, -4.0, 1.0]) + torch.rand(num_envs, 3, generator=draw) * torch.tensor([8.0, 8.0, 4.0])

@@ -17,7 +17,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.robots.importers.shapes import collision_of, shape_of
 
 FOLDER = f"{AERIAL_GYM_DIRECTORY}/resources/robots/quad"
-"""Folder of the URDF in a class that stands for a robot of ours; it need not be there."""
+"""URDF folder in a class generated from a robot of this package; it need not exist."""
 
 MATRIX, DIRECTIONS = "control_allocator_config.allocation_matrix", "control_allocator_config.motor_directions"
 _MOTORS = "control_allocator_config.num_motors"

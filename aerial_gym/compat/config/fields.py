@@ -18,10 +18,10 @@ import numpy as np
 from aerial_gym.errors import ConfigError, did_you_mean
 
 STANDS_FOR = "_aerial_gym"
-"""Attribute of a class that holds the frozen configuration that it stands for."""
+"""Attribute of a generated class that holds its frozen configuration."""
 
 Values = Mapping[str, Any]
-"""Values by dotted path, such as ``env.num_envs``: those of a class, or else those of what it stands for."""
+"""Values by dotted path, such as ``env.num_envs``: of a class, or else of its configuration."""
 
 Changes = dict[str, Any]
 """New values of fields of our configuration by dotted path, such as ``rotor.torque_ratio``."""
@@ -43,7 +43,7 @@ class Field:
     """Difference, or reason for the missing counterpart."""
 
     read: Callable[[Any], object]
-    """Its value in a class that stands for one of our configurations."""
+    """Value in a class generated from a configuration."""
 
     write: Callable[[Values], Changes] | None = None
     """Changes of the configuration for another value, from all values of the class; None without any."""
@@ -140,7 +140,7 @@ class Table:
 
         Args:
             cls: The class, or an object of it.
-            stands_for: Our configuration for a class that stands for none.
+            stands_for: Configuration for a class that is not generated from one.
 
         Raises:
             ConfigError: If an attribute is unknown, or has a value that means nothing here.

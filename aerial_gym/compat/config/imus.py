@@ -110,4 +110,4 @@ CLASSES: dict[str, type] = {
     imu: imu_class(imu, name)
     for name, imu in (("BaseImuConfig", "base_imu"), ("VN100Config", "vn100"), ("BoschBMI088Config", "bmi088"))
 }
-"""Classes by the name of our IMU for which they stand."""
+"""Generated classes by the name of the IMU."""

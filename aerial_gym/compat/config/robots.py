@@ -235,4 +235,4 @@ CLASSES: dict[str, type] = {"base_quadrotor": BaseQuadCfg} | {
         ("TinyPropCfg", "tinyprop"),
     )
 }
-"""Classes by the name of the robot for which they stand."""
+"""Generated classes by the name of the robot."""

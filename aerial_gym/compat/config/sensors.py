@@ -203,7 +203,7 @@ CLASSES: dict[str, type] = {
         ("ST_VL53L5CX_Config", "tof_matrix_90"),
     )
 }
-"""Classes by the name of our sensor for which they stand."""
+"""Generated classes by the name of the sensor."""
 
 
 class BaseSensorConfig:

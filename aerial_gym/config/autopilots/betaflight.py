@@ -107,7 +107,7 @@ class BetaflightCfg(Tuned):
     """Axes on which the integral rests while the wanted rate changes: OFF, RP (roll and pitch) or RPY."""
 
     iterm_relax_cutoff: float = 15.0
-    """Of the low-pass that tells a change [Hz]."""
+    """Cut-off of the low-pass that detects a change [Hz]."""
 
     pidsum_limit: float = 500.0
     """Largest correction of roll and pitch, in thousandths of the motors' range."""

@@ -86,7 +86,7 @@ class CrazyfliePidCfg(Tuned):
     """Per integrated one [1/s²]: ``posCtlPid.xKi``, ..."""
 
     velocity_max: Vec3 = (1.0, 1.0, 1.0)
-    """Largest wanted velocity [m/s], a tenth less than what is let through: ``posCtlPid.xVelMax``, ..."""
+    """Largest velocity setpoint [m/s]; the clamp is a tenth above: ``posCtlPid.xVelMax``, ..."""
 
     velocity_kp: Vec3 | None = None
     """Tilt per velocity error [deg s/m], along z output, a thousand counts each, [s/m]: ``velCtlPid.vxKp``, ..."""
@@ -150,7 +150,7 @@ class CrazyflieLeeCfg(Tuned):
     """Per velocity error [1/s]; that of a Crazyflie is 4."""
 
     Kpos_I: Vec3 = (0.0, 0.0, 0.0)
-    """Per integrated position error [1/s³]; that of a Crazyflie is 0. It takes away what wind leaves, and overshoots a step."""
+    """Per integrated position error [1/s³]; that of a Crazyflie is 0. It removes the error by wind and overshoots a step."""
 
     Kpos_I_limit: Vec3 | None = None
     """Largest integrated position error [m s]. If not given half of the acceleration that the inclination allows is left to it.
@@ -201,7 +201,7 @@ class BrescianiniCfg(Tuned):
     """Time constant of the attitude [s]."""
 
     mixing_factor: float | None = None
-    """Share of the heading error that is turned to, 0 to 1; that of a Crazyflie is 1."""
+    """Weight of the heading error, 0 to 1; that of a Crazyflie is 1."""
 
     tau_rp_rate: float | None = None
     """Time constant of body rates about x and y [s]; from here on no parameters of the group, but compiled in."""

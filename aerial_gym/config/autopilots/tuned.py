@@ -11,7 +11,7 @@ class Tuned:
     """Base of the parameters of an autopilot: dataclasses in which every number is >= 0 and finite, and None has it derived."""
 
     NOT_GAINS: ClassVar[frozenset[str]] = frozenset(("rate_hz", "source"))
-    """Fields that say when it runs, and where its numbers come from."""
+    """Fields that are no gains: the rate and the source."""
 
     POSITIVE: ClassVar[frozenset[str]] = frozenset(("rate_hz",))
     """Fields that are divided by."""

@@ -1,6 +1,6 @@
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false, reportArgumentType=false
 # pyright: reportCallIssue=false, reportOperatorIssue=false
-# (The library's types say less than its objects are.)
+# (The library's type annotations are incomplete.)
 """A task as ``IVecEnv`` of rl-games, and a training run by ``rl_games.torch_runner.Runner``.
 
 Letters: E environments, O entries of an observation, U entries of an action.

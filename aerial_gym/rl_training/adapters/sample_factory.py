@@ -1,6 +1,6 @@
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false, reportArgumentType=false
 # pyright: reportCallIssue=false, reportOperatorIssue=false
-# (The library's types say less than its objects are.)
+# (The library's type annotations are incomplete.)
 """A task as one batched environment of Sample Factory, and a training by its runner (APPO, serial and synchronous).
 
 Letters: E environments, O entries of an observation, U entries of an action.
@@ -277,7 +277,7 @@ def library_config(cfg: TrainingCfg, out: Path, *, env_name: str, device: torch.
         "normalize_returns": ppo.normalize_value,
         # files
         "log_to_file": False,
-        "save_every_sec": OFF // 10,  # the keeper says when
+        "save_every_sec": OFF // 10,  # the keeper schedules checkpoints
         "save_best_after": OFF,
         "experiment_summaries_interval": 3,
         "flush_summaries_interval": 5,

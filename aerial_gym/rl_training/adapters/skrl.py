@@ -1,6 +1,6 @@
 """A task as skrl sees an environment; its tensors stay on the device.
 
-Letters: E environments, O entries of an observation, S of what a critic sees, U of an action.
+Letters: E environments, O entries of an observation, S of a critic's observation, U of an action.
 """
 
 from typing import Any

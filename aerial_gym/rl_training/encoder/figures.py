@@ -14,7 +14,7 @@ from aerial_gym.sensors.encoder.file import Encoder
 from aerial_gym.sensors.encoder.network import Autoencoder
 
 NEAR_M = 3.0
-"""Distance below which a pixel is near [m]: what a vehicle of 2 m/s meets within 1.5 s."""
+"""Distance below which a pixel is near [m]: the path of 1.5 s at 2 m/s."""
 
 MOST_EXACT = 4096
 """Pixels up to which principal components come from the covariance itself; beyond, from a randomised decomposition."""

@@ -75,11 +75,11 @@ def rendered(
     """Return images of the settings' environments, each of another scene with a random number of obstacles.
 
     Args:
-        cfg: What is seen by whom.
+        cfg: Environments and robot.
         count: Number of images N.
         seed: Of scenes and poses.
         device: Where they are rendered and stay.
-        tell: Told of progress.
+        tell: Receives the progress.
     """
     sensor, robot = sensor_of(cfg), robot_by_name(cfg.robot)
     parts = []
@@ -96,7 +96,7 @@ def radius_of(cfg: EncoderTrainingCfg, robot: RobotCfg) -> float:
     """Return the radius of a robot's collision ball [m].
 
     Raises:
-        ConfigError: If the robot has no shape and the settings say nothing.
+        ConfigError: If neither the robot has a shape nor the settings give a radius.
     """
     radius = body_reach(robot.collision.shapes) if cfg.radius_m is None else cfg.radius_m
     if radius <= 0.0:

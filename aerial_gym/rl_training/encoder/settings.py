@@ -42,7 +42,7 @@ class EncoderTrainingCfg:
     """Step of Adam at first, > 0; it falls linearly to a hundredth of it."""
 
     latents: int = 64
-    """Numbers that stand for an image, >= 1; navigation takes 64."""
+    """Number of latents of an image, >= 1; navigation takes 64."""
 
     channels: tuple[int, ...] = (32, 64, 128)
     """Channels of the layers, each of which halves the image, each >= 1."""

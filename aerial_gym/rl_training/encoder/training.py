@@ -52,7 +52,7 @@ SHOWN = 6
 """Images in the picture."""
 
 ENCODER, MEAN = "encoder", "mean_image"
-"""Names of what tells images, beside ``pca_<latents>``."""
+"""Names of reconstructions, besides ``pca_<latents>``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,10 +75,10 @@ class EncoderResult:
     """Length of this session, rendering and figures included [s]."""
 
     active_latents: int | None
-    """Latents that tell images apart."""
+    """Number of latents with variance over images."""
 
     errors: Mapping[str, Errors]
-    """On the images of other scenes, by what tells them: ``encoder``, ``pca_64``, ``mean_image``."""
+    """Errors on test images by reconstruction: ``encoder``, ``pca_64``, ``mean_image``."""
 
     errors_by_env: Mapping[str, Errors]
     """Errors of the encoder by environment."""
@@ -119,8 +119,8 @@ def train_encoder(
     Args:
         cfg: Settings; a resumed training keeps its own, but for ``device``.
         out: Folder, new unless ``resume``.
-        resume: Whether to go on from the folder's checkpoint: on one device as if it had never ended.
-        tell: Told of progress: what is being done, and the share of that.
+        resume: Whether to continue from the folder's checkpoint, on one device as without the interruption.
+        tell: Receives the progress: a description of the work, and the share that is done.
 
     Raises:
         ConfigError: If the folder holds a training and ``resume`` is off, or a name or number is impossible.

@@ -32,7 +32,7 @@ from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import Task
 
 BETAS = (0.7, 0.95)
-"""Of Adam for the policy, whose gradients grow with what the critic knows; as in Xu et al. (2022), table 4."""
+"""Decay rates of Adam for the policy, whose gradients grow as the critic learns; as in Xu et al. (2022), table 4."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,6 @@
 """Proximal policy optimisation with fused network kernels, for two small multi-layer perceptrons on a GPU.
 
-Letters: T steps, E environments, O entries of what a network sees, U entries of an action, P weights, B blocks.
+Letters: T steps, E environments, O entries of a network's input, U entries of an action, P weights, B blocks.
 """
 
 import contextlib
@@ -27,7 +27,7 @@ WIDTHS = (16, 32, 64)
 """Widths of the hidden layers for which a tile of samples fits: 128 asks for 308 kB of shared memory, an H200 has 232."""
 
 MOST_INPUTS = 64
-"""Entries of what a network sees, likewise."""
+"""Entries of a network's input, likewise."""
 
 MOST_ACTIONS = 16
 
@@ -55,7 +55,7 @@ def _start_triton(device: torch.device) -> None:
     from aerial_gym.rl_training.learning import kernels
 
     torch.cuda.set_device(device)
-    with contextlib.suppress(Exception):  # what is wrong is said where the networks are compiled
+    with contextlib.suppress(Exception):  # the compilation of the networks reports errors
         kernels.nothing.warmup(torch.float32, grid=(1,))
 
 

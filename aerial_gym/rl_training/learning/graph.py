@@ -28,7 +28,7 @@ class Repeated:
     ) -> None:
         """Take the function, the generator that it draws from, whether it talks to other processes, whether to record it."""
         self._iterate, self._device, self._generator = iterate, device, generator
-        # NCCL has a thread that looks at events: a recording that forbids this to all threads would fail.
+        # NCCL has a thread that polls events: a recording that forbids this to all threads would fail.
         self._forbids = "thread_local" if joined else "global"
         self._graph: torch.cuda.CUDAGraph | None = None
         self._warm = 0

@@ -3,7 +3,7 @@
 Small networks are bound by launches and by reading activations again: here each of them passes a tile of samples through all
 layers, forward and backward, in registers. The first network of the weights is the policy, the second the critic.
 
-Letters: N samples, O entries of what a network sees, H width of the hidden layers, U entries of an action, P weights, B blocks.
+Letters: N samples, O entries of a network's input, H width of the hidden layers, U entries of an action, P weights, B blocks.
 """
 
 import triton  # pyright: ignore[reportMissingImports]

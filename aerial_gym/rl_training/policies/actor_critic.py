@@ -53,7 +53,7 @@ class ActorCritic(nn.Module):
         nn.init.zeros_(self.value_head.bias)
         self.scale = RunningNormalizer(limit=float("inf"), outlier=OUTLIER)
         self.memory_sizes = (actor.body.memory_size, 0 if self.own_body is None else self.own_body.memory_size)
-        """Numbers of memory of policy and critic; the memory (E, M) of both stands side by side."""
+        """Memory sizes of policy and critic, which are concatenated in the joint memory (E, M)."""
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
@@ -84,7 +84,7 @@ class ActorCritic(nn.Module):
 
         Args:
             prepared: Keys, (T, E, ...).
-            memory: What both remembered before the sequence, (E, M).
+            memory: Of both before the sequence, (E, M).
             begins: Whether an episode begins with this observation, bool, (T, E): the memory is then empty.
         """
         acting, judging = memory.split(self.memory_sizes, dim=-1)

@@ -17,10 +17,10 @@ from aerial_gym.rl_training.policies.recurrent import along
 from aerial_gym.sensors.encoder.network import ACTIVATIONS, convolutions
 
 IMAGE_CHANNELS = (16, 32, 64, 64)
-"""Channels of the layers that look at an image, each of which halves it."""
+"""Channels of the image convolutions, each with stride 2."""
 
 IMAGE_FEATURES = 128
-"""Numbers that stand for an image."""
+"""Number of features of an image."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +92,7 @@ class Body(nn.Module):
 
         Args:
             prepared: Keys, (T, E, ...).
-            memory: What was remembered before the sequence, (E, M).
+            memory: Before the sequence, (E, M).
             begins: Whether an episode begins with this observation, bool, (T, E): the memory is then empty.
         """
         features = self._encoded(prepared)

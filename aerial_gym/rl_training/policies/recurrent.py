@@ -25,7 +25,7 @@ def along(cell: nn.GRUCell, features: Tensor, memory: Tensor, begins: Tensor) ->
     Args:
         cell: The unit.
         features: (T, E, F).
-        memory: What was remembered before the sequence, (E, M).
+        memory: Before the sequence, (E, M).
         begins: Whether an episode begins with this step, bool, (T, E): the memory is then empty.
     """
     if features.is_cuda:
@@ -112,7 +112,7 @@ def _of_weights(held: Tensor, before: Tensor) -> tuple[Tensor, Tensor]:
 
     Args:
         held: Gradient with respect to their products, (T, E, 3 M).
-        before: What each step remembered from before, (T, E, M).
+        before: Hidden state at the start of each step, (T, E, M).
     """
     flat = held.flatten(0, 1)
     return flat.t() @ before.flatten(0, 1), flat.sum(0)

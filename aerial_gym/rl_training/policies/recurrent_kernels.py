@@ -24,8 +24,8 @@ def forward(
     num_envs,
     # out
     after_out,  # (T, E, M)
-    before_out,  # (T, E, M) what a step remembers from before; of an episode that begins nothing
-    gates_out,  # (T, E, 4 M) reset, update, new, and what memory adds to new
+    before_out,  # (T, E, M) hidden state before each step; 0 at the start of an episode
+    gates_out,  # (T, E, 4 M) reset, update, new, and the memory's contribution to new
     size: tl.constexpr,
     tile: tl.constexpr,
     keeps: tl.constexpr,

@@ -15,14 +15,14 @@ FIRST_LAYER = ".layers.0.weight"
 """End of the name of a first layer (H, O)."""
 
 NORMALISED = (".mean", ".var")
-"""Ends of the names of what a normaliser knows, (O,)."""
+"""Suffixes of the names of normaliser statistics, (O,)."""
 
 
 def begin_as(network: ActorCritic, model: Mapping[str, Tensor], *, where: str) -> None:
     """Load the weights of another network, which may have fewer inputs.
 
-    What it sees besides must stand behind what the other one saw. Its weights there are zero, so that at first it does what the
-    other one did; its normaliser takes it as it is, mean 0 and deviation 1, and learns slowly, for it has counted much.
+    Additional inputs must follow those of the other network. Their weights are zero, so that at first it acts like the
+    other one. Their normaliser starts at mean 0 and deviation 1 and adapts slowly, as its sample count is large.
 
     Args:
         network: Receives them.

@@ -39,7 +39,7 @@ class Keeper:
         """Take the other parts of a checkpoint, the checkpoint to resume from, if any, and all processes."""
         self._cfg, self._folder, self._task, self._resumed, self._ranks = cfg, folder, task, resumed, ranks
         self.ready = resumed is None
-        """Whether there is something of this run to save: not while it has still to take up what was."""
+        """Whether there is a state to save: not before a resumed state is restored."""
         self._saved_at, self._interval = time.perf_counter(), min(FIRST_INTERVAL_S, cfg.checkpoint_every_s)
 
     @property
@@ -58,7 +58,7 @@ class Keeper:
         Args:
             state: By name.
             env_steps: The steps.
-            own: Names of what is another one in each process.
+            own: Keys that differ between processes.
 
         Raises:
             StorageError: If it cannot be written.
@@ -82,7 +82,7 @@ class Keeper:
     def restore(self, load: Callable[[dict[str, Any]], None], *, own: Sequence[str] = ()) -> None:
         """Hand the checkpoint to the trainer's ``load``, then take up curriculum and random states.
 
-        What is another one in each process (``own``) is missing for a process that the run has not had so far.
+        Keys that differ between processes (``own``) are missing for a rank new to the run.
 
         Raises:
             ConfigError: If the checkpoint does not fit the run.
@@ -141,7 +141,7 @@ def steps_of(resumed: tuple[Path, dict[str, Any]] | None, trainer: str) -> int:
     """Return the environment steps of a checkpoint; 0 without one.
 
     Raises:
-        ConfigError: If it is one of another trainer, or of none.
+        ConfigError: If it belongs to another trainer, or to none.
     """
     if resumed is None:
         return 0

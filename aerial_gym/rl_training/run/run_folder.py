@@ -44,7 +44,7 @@ KEPT_CHECKPOINTS = 2
 _log = logging.getLogger(__name__)
 
 PACKAGES = ("aerial-gym", "torch", "numpy", "gymnasium", "warp-lang")
-"""Packages whose versions are written down, besides the libraries of the trainers."""
+"""Packages whose versions are recorded, besides the libraries of the trainers."""
 
 
 class RunFolder:
@@ -63,7 +63,7 @@ class RunFolder:
         """Make the folder and write the settings.
 
         Raises:
-            ConfigError: If a run stands there already.
+            ConfigError: If the folder holds a run already.
             StorageError: If nothing can be written there.
         """
         if self.config_file.exists():
@@ -105,7 +105,7 @@ class RunFolder:
         """Return the newest checkpoint.
 
         Raises:
-            ConfigError: If there is none.
+            ConfigError: If there is no checkpoint.
         """
         found = self.checkpoints()
         if not found:

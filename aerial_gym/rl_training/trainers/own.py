@@ -26,7 +26,7 @@ from aerial_gym.task import Task
 AnyLearner = TypeVar("AnyLearner", bound=Learner)
 
 LOOK_EVERY = 8
-"""Iterations on a GPU between two looks of the host, which is one look behind."""
+"""Iterations on a GPU between two reads by the host, whose numbers are one read old."""
 
 OWN_STATE = ("learner", "generator", "task")
 """Keys of a state that differ between processes; all others are common."""
@@ -43,8 +43,8 @@ def repeat(
     Args:
         training: A new one.
         folder: Receives TensorBoard files, where ``tensorboardX`` is installed.
-        progress: Told after every look.
-        keeper: Keeps checkpoints, and knows where to go on.
+        progress: Receives the numbers of every read.
+        keeper: Writes checkpoints, and has the one to resume from.
         interruption: Whether the user asked to end.
 
     Raises:
@@ -102,7 +102,7 @@ class OwnTraining(Generic[AnyLearner]):
         self.iterations = 0
         """Iterations of this session."""
         self.known: dict[str, float] = {}
-        """The learner's gauges at the last look."""
+        """Gauges of the learner at the last read."""
         self._numbers = _Told(self.learner)
         self._recent: deque[list[float]] = deque([[0.0] * len(SUMS)])
 
@@ -155,7 +155,7 @@ class OwnTraining(Generic[AnyLearner]):
         """Load initial weights from another training: a run folder, or one checkpoint in it.
 
         Raises:
-            ConfigError: If there are none that fit.
+            ConfigError: If no matching weights exist.
         """
         file, cfg = checkpoint_of(source)
         model = checkpoint.load(file).get("model")
@@ -167,7 +167,7 @@ class OwnTraining(Generic[AnyLearner]):
     def load(self, state: Mapping[str, Any]) -> None:
         """Resume from a result of ``state``."""
         self.learner.network.load_state_dict(state["model"])
-        if "learner" in state:  # a process that the run has not had so far begins as it is
+        if "learner" in state:  # absent for a rank new to the run, which keeps its initial state
             own = self.learner.state_tensors()
             check_state(state["learner"], own)
             restore(state["learner"], own)

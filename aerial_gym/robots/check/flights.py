@@ -44,7 +44,7 @@ STEP_RANGE = (5e-4, 0.1)
 """Time steps [s] between which the largest one is looked for."""
 
 HEADING = ("yaw", "r")
-"""Of ``AXES``, what a tail on a servo holds."""
+"""The ``AXES`` that a tail servo controls."""
 
 AT_REST = 0.05
 """Share of the disturbance that is left at rest."""

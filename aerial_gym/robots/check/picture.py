@@ -23,7 +23,7 @@ def draw_rotors(robot: RobotCfg, path: str | Path, *, name: str = "") -> None:
     """Draw hubs, numbers, senses of turning, directions of thrust and the centre of mass into a file.
 
     Args:
-        path: Where to; the ending says in which format (png, svg, pdf).
+        path: Target; its ending determines the format (png, svg, pdf).
         name: Of the robot, for the title.
 
     Raises:

@@ -70,7 +70,7 @@ class RobotReport:
     """Of that torque."""
 
     first_at_limit: tuple[int | None, ...]
-    """Number from 1 of the rotor that ends force and torque along x, y, z, six of them; None where there is none to end."""
+    """Number from 1 of the rotor that limits force and torque along x, y, z, six entries; None without authority."""
 
     stable_steps: tuple[StableStep, ...]
     """Largest time steps, by controller."""
@@ -97,11 +97,11 @@ def check_robot(
     """Return hover, control authority by the robot's own allocation, and the stable time steps of its controllers.
 
     Args:
-        robot: A loaded robot: what no body or rotor can be is refused when it is loaded.
+        robot: A loaded robot; loading has already refused impossible bodies and rotors.
         name: Registered name or path, for people.
         controllers: Registered controllers to fly it with; all that have gains if not given, none of ``()``.
         gravity: Downward acceleration of free fall [m/s²].
-        progress: Is told which controller flies and which share is done.
+        progress: Receives the present controller and the share that is done.
 
     Raises:
         ConfigError: If an effect cannot act on this robot.

@@ -91,7 +91,7 @@ def numbers(text: str | None, count: int, where: str) -> list[float]:
     """Return the numbers in a text; zeros where there is none.
 
     Raises:
-        ConfigError: If there are not as many, or one is none or not finite.
+        ConfigError: If their number differs, or one is no finite number.
     """
     if text is None or not text.split():
         return [0.0] * count

@@ -33,7 +33,7 @@ class RotorHints:
     """Rotor data that the file lacks, given by the user."""
 
     rotors_of: RobotCfg | None = None  # Robot with these rotors; its mounts are taken where the file has none
-    spins: tuple[int, ...] = ()  # +1 or -1 for each rotor in the order of the file, in place of what it says
+    spins: tuple[int, ...] = ()  # +1 or -1 for each rotor in the order of the file, in place of its own values
     lag: float | None = None  # Of thrusts that follow at once in the file [s], and of rotors of a URDF's `properties`
     rotor_links: str = ROTOR_LINKS  # Regular expression of links of a URDF without motors that are rotors
     joints: bool = False  # Whether joints move (URDF and MJCF) but those of rotors; else all are welded
@@ -65,7 +65,7 @@ def import_robot(path: str | Path, hints: RotorHints | None = None, *, gravity: 
     Joints are welded at zero unless the hints say otherwise. The frame of the root link becomes that of the body.
 
     Args:
-        path: The file; its first tag says what it is.
+        path: The file; its first tag determines the format.
         gravity: Downward acceleration of free fall [m/s²] against which it must hover.
 
     Raises:

@@ -15,10 +15,10 @@ from aerial_gym.config.shape import BASE
 from aerial_gym.robots.importers.found import vec3
 
 END_HZ = 10.0
-"""Frequency of the springs that stand for hard ends of joints, which are critically damped [Hz]."""
+"""Natural frequency of the critically damped springs that replace hard end stops [Hz]."""
 
 LEAST_INERTIA = 1e-6
-"""Of what a joint moves, for these springs [kg m²] or [kg]."""
+"""Smallest inertia behind a joint, for these springs [kg m²] or [kg]."""
 
 ENDS = f"chosen: ends of joints as critically damped springs of {END_HZ:g} Hz on what the joint carries in the reference pose"
 

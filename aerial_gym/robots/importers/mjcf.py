@@ -26,7 +26,7 @@ def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = 
     """Return the vehicle of an MJCF file.
 
     Args:
-        path: The file, with its meshes where it says.
+        path: The file; meshes are at the paths given in it.
         lag: Of the thrusts [s], for actuators without one; None refuses them.
         take_actuators: Whether its actuators are the rotors.
         joints: Whether hinges and slides move.

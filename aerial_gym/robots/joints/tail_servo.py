@@ -68,7 +68,7 @@ def tail_rotor(robot: RobotCfg) -> int:
     """Return the number from 0 of the rotor that a servo leans sideways.
 
     Raises:
-        ConfigError: If there is none, or more than one.
+        ConfigError: Unless there is exactly one.
     """
     joints = {} if robot.joints is None else {joint.name: joint for joint in robot.joints.layout}
     found = [

@@ -1,6 +1,6 @@
 """Collision distance image: free flight distance of a ball along each pixel's ray.
 
-Such an image says what a range image leaves to be found out: whether the robot fits. Frame: the sensor's own, x forward.
+Unlike a range image it tells directly whether the robot fits. Frame: the sensor's own, x forward.
 Letters: B images, H x W pixels, N = H W rays.
 """
 
@@ -17,14 +17,14 @@ processor (2.2 times as fast as 64 MB), and 64 MB, which fills a GPU."""
 def collision_distance(distance: Tensor, rays: Tensor, *, radius: float, largest: float) -> Tensor:
     """Return the free distance of a ball along each ray before a point of the image, ``t = p.u - sqrt(r² - |p x u|²)``.
 
-    What an image does not show, and what lies between the rays, is not touched: exact for the points of the image. A ball that
+    It is exact for the points of the image; hidden surfaces and those between rays are ignored. A ball that
     touches a point at the start flies 0.
 
     Args:
-        distance: Along each ray to what it sees [m]; ``largest`` or more: nothing, (B, H, W).
+        distance: Along each ray to the hit [m], ``largest`` or more without a hit, (B, H, W).
         rays: Unit directions u, sensor frame, (H, W, 3).
         radius: Of the ball r [m], > 0.
-        largest: What a ray holds along which nothing is touched before [m], > 0.
+        largest: Result for a ray without a touch [m], > 0.
 
     Returns:
         Distance [m], 0 to ``largest``, (B, H, W).

@@ -124,7 +124,7 @@ def load_encoder(name: str | Path, *, device: torch.device | str = "cpu") -> Enc
     """Return the encoder in a file, or one that comes with the package.
 
     Raises:
-        UnknownNameError: If there is none of that name.
+        UnknownNameError: If no encoder has that name.
         ConfigError: If the file is missing, damaged, or holds no encoder.
     """
     path = encoder_file(name)

@@ -24,7 +24,7 @@ class AutoencoderCfg:
 
     rows: int  # Pixels in a column, >= 1
     columns: int  # Pixels in a row, >= 1
-    latents: int = 64  # Numbers that stand for an image, >= 1; navigation takes 64
+    latents: int = 64  # Number of latents of an image, >= 1; navigation takes 64
     channels: tuple[int, ...] = (32, 64, 128)  # Channels of the layers, each of which halves the image, each >= 1
     activation: str = "elu"  # `elu`, `relu` or `tanh`
 
@@ -102,7 +102,7 @@ def negative_evidence(images: Tensor, decoded: Tensor, mean: Tensor, log_varianc
 
     Args:
         images: Shares of the largest distance, (B, H, W).
-        decoded: What the decoder makes of drawn latents, (B, H, W).
+        decoded: Output of the decoder for random latents, (B, H, W).
         mean: Of the latents, (B, L).
         log_variance: Of the latents, (B, L).
 

@@ -22,7 +22,7 @@ GATE_KEYS = ("gate_position", "gate_orientation")
 """Keys of the GTD: where the gates are."""
 
 SEEN = {"gates_seen": "gate_position", "poles_seen": "pole_position"}
-"""Buffers of what has been seen, and where it is."""
+"""Buffers of seen gates and poles with their poses."""
 
 
 @COMMANDS.generator("track_gates")

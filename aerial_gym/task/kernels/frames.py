@@ -20,8 +20,8 @@ def make_take(source: Any, target: Any, history: int) -> wp.Kernel:
         mask: wp.array[wp.bool],  # (E,) whose images are taken
         begun: wp.array[wp.bool],  # (E,) whose episode has just begun
         # params
-        largest: float,  # what counts as 1, in the unit of the image
-        top: float,  # what 1 is written as
+        largest: float,  # image value of 1, in the unit of the image
+        top: float,  # output for 1
         empty: float,  # share of a pixel that has nothing
         # out
         frames_out: wp.array3d[target],  # (E, history, P), oldest first

@@ -23,7 +23,7 @@ class Latents:
     def __init__(self, sensors: SensorManager, gtd: GlobalTensorDictionary, *, robot: str, encoder: str | None) -> None:
         """Take the sensors, the dictionary with their images, what a message calls the robot, and the encoder by its name.
 
-        The encoder is read where a term asks for what it makes.
+        The encoder is loaded when a term reads its latents.
         """
         self._sensors, self._gtd, self._robot, self._name = sensors, gtd, robot, encoder
         self._encoder: Encoder | None = None

@@ -158,7 +158,7 @@ class NamedRows:
         except UntraceableError as error:
             if all(
                 tensor[:1].numel() <= LARGEST_ROW for tensor in tensors if tensor.ndim
-            ):  # nobody expects it of an image
+            ):  # without a warning for images
                 _log.warning("%s runs as torch operations of its own: %s", term.label, error)
             return False
         return True

@@ -26,10 +26,10 @@ TIME_OUT = "time_out"
 """Name under which an end by the length of the episode is counted."""
 
 GATE_PASSED = "gate_passed"
-"""Of commands with gates; told in ``info`` as well."""
+"""Flag of commands with gates, also in ``info``."""
 
 SUMS, TALLIES, ARRIVED = "episode_sums", "ended_tallies", "arrived"
-"""Buffers: what it keeps from step to step."""
+"""Buffers that persist between steps."""
 
 FLAGS = ("terminated", "truncated", "crash", "success", "timeout", "bad")
 """Truth values of a step, side by side: every tensor that a kernel takes or gives costs the host some microseconds."""
@@ -74,9 +74,9 @@ class Judge:
         self._command, self._observer = command, observer
         ends = {"crash": cfg.crash_reward, "success": cfg.success_reward}
         self.reward_names = (*rewards, *(name for name, end in ends.items() if end is not None))
-        """Columns of ``reward_terms``: the rewards in order, then what ends are worth."""
+        """Columns of ``reward_terms``: the rewards in order, then those of ends."""
         self.end_names = (*terminations, TIME_OUT)
-        """By what episodes end."""
+        """Names of the conditions that end episodes."""
         by_difficulty = [each.difficulty_weight for _, each in rewards.values()]
         by_difficulty += [end.difficulty_value for end in ends.values() if end is not None]
         count, kinds = len(self.reward_names), len(self.end_names)

@@ -128,7 +128,7 @@ class Observer:
         self.terms = [entry.term for entry in entries]
         """Of all groups."""
         self.writes = {name: values[name] for entry in entries for name in (*entry.past, *entry.held)}
-        """Lines, and what is held."""
+        """Buffers of delay lines and held values."""
         self.reads = {NOISE: self._noise.noise, DELAYS: delays} | self._faults.reads | self.writes
         self.reads |= values.read_by(*self.terms)
         """Inputs of ``observe``."""

@@ -14,7 +14,7 @@ def width_of(term: BoundTerm, values: Mapping[str, Tensor], *, rows: int, width:
     """Return the entries that an observation term returns for each environment, found by calling it once.
 
     Args:
-        width: What the term says; None if it says nothing.
+        width: Declared by the term; None without a declaration.
 
     Raises:
         ConfigError: If it returns another shape or whole numbers.

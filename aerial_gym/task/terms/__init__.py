@@ -1,4 +1,4 @@
 """Terms of tasks: pure functions of their inputs, by name.
 
-``term.py`` says what a term is; the other modules hold those that come with the package.
+``term.py`` defines terms; the other modules hold those of the package.
 """

@@ -39,7 +39,7 @@ class ActionRegistry(Registry[Action]):
         Args:
             name: Under which a task asks for it; that of the function if not given.
             width: Entries of an action; those of the command if not given.
-            command: What the controller must take; None fits all.
+            command: Required controller command; None fits all.
         """
 
         def add(function: Function) -> Function:
@@ -118,10 +118,10 @@ def four_places(
 
     Args:
         actions: Speeds of the four, clamped to -1..1: none, and the highest, (E, 4).
-        mix: Share of its thrust that each rotor gives for a whole one of each of the four, (U, 4).
+        mix: Thrust shares of U rotors per thrust share of the four, (U, 4).
         low: Lowest speed [rad/s] or thrust [N] of each rotor, negative for one that turns backwards too, (U,).
         high: Highest, (U,).
-        speeds: Whether each is told a speed, whose square is a thrust, (U,).
+        speeds: Whether each takes a speed, whose square is proportional to thrust, (U,).
     """
     told = (0.5 * (actions.clamp(-1.0, 1.0) + 1.0)).unbind(-1)
     lifts = [share.square() for share in told]

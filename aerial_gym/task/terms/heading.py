@@ -66,9 +66,9 @@ def flight_to_target(
         robot_position: Position [m], world, (E, 3).
         robot_linvel: Velocity v [m/s], world, (E, 3).
         speed: The wanted speed [m/s].
-        height: What that speed is worth, straight to the target.
+        height: Reward of that speed, straight to the target.
         width: Of the bell over the difference to that speed [s²/m²].
-        away: What any speed is worth that does not come closer.
+        away: Reward of any speed that does not approach the target.
         near: Distance [m] from which on, towards the target, all of this fades in proportion.
 
     Returns:
@@ -174,7 +174,7 @@ def collision_soon(
 ) -> Tensor:
     """Return ``-height exp(-width t⁴)``, t the time to a collision [s]; 0 where nothing comes nearer, (E,).
 
-    t is the distance of the robot's hull to what is nearest over the speed at which that distance fell in the last step.
+    t is the clearance divided by the speed at which it fell in the last step.
     """
     closing = (previous_clearance - robot_clearance) / step_time
     time = robot_clearance.clamp_min(0.0) / closing.clamp_min(LEAST_CLOSING_SPEED)

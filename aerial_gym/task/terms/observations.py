@@ -24,7 +24,7 @@ LATENTS = "image_latents"
 """Buffer of the latents of that image by the task's encoder, (E, L)."""
 
 LEAST_SHARE = 1e-3
-"""A share of the largest distance below which no obstacle is told from another: 1 cm of 10 m."""
+"""Share of the largest distance below which distances are not resolved: 1 cm of 10 m."""
 
 TINY = 1e-6
 """A distance [m] below which there is no direction."""
@@ -140,7 +140,7 @@ def last_action(robot_actions: Tensor) -> Tensor:
 @OBSERVATIONS.term("nearest_in_cells", named={"cells": CELLS})
 def nearest(cells: Tensor, *, rows: int = 8, columns: int = 8) -> Tensor:
     """Return the smallest distance in each cell of the first sensor's image, a share of the largest, (E, rows columns)."""
-    del rows, columns  # say which cells
+    del rows, columns  # part of the input's name
     return cells
 
 

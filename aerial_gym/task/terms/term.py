@@ -28,10 +28,10 @@ class Term:
 
     name: str
     value: Callable[..., Tensor]
-    """Of what it reads, in order, and of its parameters by name."""
+    """Function of its inputs, in order, and of its parameters by name."""
 
     width: int | None = None
-    """Entries per environment that it returns, ``ACTION``, or None where only a call tells."""
+    """Number of entries per environment, ``ACTION``, or None if only a call determines it."""
 
     command: tuple[str, ...] | None = None
     """Required controller command (``Law.action``); None fits all."""
@@ -124,7 +124,7 @@ class TermRegistry(Registry[Term]):
         Args:
             name: Under which a task asks for it; that of the function if not given.
             width: Entries per environment, where it is always the same; such a term is checked for it.
-            command: What the controller must take, as ``aerial_gym.control.laws.LAWS`` says it; None fits all.
+            command: Required controller command, as in ``aerial_gym.control.laws.LAWS``; None fits all.
             named: What arguments read whose name follows from numbers of the term.
         """
 
@@ -132,7 +132,7 @@ class TermRegistry(Registry[Term]):
             known = name or function.__name__
             needs = None if command is None else tuple(command)
             term = Term(name=known, value=function, width=width, command=needs, named=dict(named or {}))
-            _ = term.reads  # refuses a signature that does not say
+            _ = term.reads  # refuses a signature without names
             self.register(known, term)
             return function
 

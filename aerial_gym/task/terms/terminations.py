@@ -1,6 +1,6 @@
 """Terms of terminations: pure functions of tensors of one instant, (E, ...) to bool (E,).
 
-What an end is (a crash, a success, a time-out) and what becomes of it says the task. Letters: E environments.
+The task defines the kind of an end (crash, success, time-out) and its consequence. Letters: E environments.
 """
 
 import torch
