@@ -1,6 +1,6 @@
 """The environment manager of the Aerial Gym Simulator in front of ours: ids in place of masks, flags that outlive a reset.
 
-The simulation itself is ``EnvManager.env``; every rule stands there. Letters: E environments.
+The simulation itself is ``EnvManager.env``, which has all rules. Letters: E environments.
 """
 
 from collections.abc import Sequence

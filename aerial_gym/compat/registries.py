@@ -1,8 +1,8 @@
 """The five registries of the Aerial Gym Simulator in front of ours.
 
-A name is looked up among those that the script has registered, then among ours. A class is translated when something is built,
-so that changes made to it before count, as there. What is registered is found by scripts alone: ``aerial_gym.ROBOTS`` and its
-relatives hold what this package and its users register for good.
+A name is looked up in the script's entries, then in those of this package. A class is translated when something is built,
+so that earlier changes to it count, as in that simulator. Only scripts see their entries; ``aerial_gym.ROBOTS`` and the
+other registries stay unchanged.
 """
 
 from collections.abc import Callable, Mapping

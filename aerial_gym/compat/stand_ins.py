@@ -1,8 +1,8 @@
 """Modules that scripts of the Aerial Gym Simulator import and that need not be installed, while such a script runs.
 
-``isaacgym``: importable, and each use of it says what to do; but ``isaacgym.torch_utils`` has the functions of ``compat.math``.
-``gym``: gymnasium, whose spaces are the same, with the older wrapper, which passes on just what it is given. What is installed
-is used as it is.
+``isaacgym``: importable, but each use raises an error with the remedy; ``isaacgym.torch_utils`` has the functions of
+``compat.math``. ``gym``: gymnasium, whose spaces are the same, with the wrapper of the older version. Installed packages
+take precedence.
 """
 
 import sys

@@ -1,7 +1,7 @@
 """The tensor dictionary of the Aerial Gym Simulator as a view of the Global Tensor Dictionary.
 
-Keys of one name and shape are the very tensors; others follow from them when they are read. A value that is assigned is written
-into the tensor that the simulation reads, where there the reference alone was replaced. Letters: E environments, A obstacles.
+Keys with equal name and shape are the GTD's tensors; others are computed when read. An assigned value is copied into the
+simulation's tensor; that simulator only replaced the reference. Letters: E environments, A obstacles.
 """
 
 from collections.abc import Callable, Iterator, MutableMapping

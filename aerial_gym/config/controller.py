@@ -153,8 +153,8 @@ class RateLoopCfg:
     """A controller of body rates with memory, as flight firmware has it: proportional, integral and filtered derivative action.
 
     The wanted angular acceleration is ``P e + I - D``, with the rate error e, the integral I of ``integral e``, and D the
-    measured angular acceleration times ``derivative`` behind a low-pass. Where the rotors give less than what is asked of an
-    axis, I grows no further in that direction. What is not given is derived (``control.gains``).
+    measured angular acceleration times ``derivative`` behind a low-pass. Under saturation of an axis I grows no further in
+    that direction. Missing values are derived (``control.gains``).
     """
 
     rate_hz: float | None = None

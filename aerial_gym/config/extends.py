@@ -1,8 +1,8 @@
 """Configuration files that build on another: ``extends:`` and the fields that differ.
 
-A base is named as sensors are: a name is a file that comes with the package, a path (``.yaml``) is taken relative to the file
-that names it, and may extend another one. On top of the base mappings are merged, null takes away, and whatever else is said
-replaces what the base says. Of a list whose entries have names, such as joints, a mapping says by name what differs.
+A base is a file of the package by name, or a path (``.yaml``) relative to the file that names it, and may extend another
+one. Mappings are merged into the base, null removes an entry, and other values replace those of the base. For lists of
+named entries, such as joints, a mapping gives the changes by name.
 """
 
 from collections.abc import Callable, Mapping

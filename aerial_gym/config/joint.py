@@ -1,8 +1,8 @@
 """Joints of a vehicle: their links' masses, springs, drives and end stops.
 
 A robot file describes the vehicle in its reference pose as if it were rigid: ``body`` is all of it, and hubs, centres and axes
-are in body axes. Joints say where that pose bends: every number here is of the reference pose too, in body axes, so that a
-joint of coordinate ``reference`` leaves everything where the rest of the file has it.
+are in body axes. The numbers of joints are for the reference pose too, in body axes: a joint at its coordinate
+``reference`` changes nothing.
 SI units; coordinates of revolute joints in rad, of prismatic ones in m.
 """
 

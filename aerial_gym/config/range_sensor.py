@@ -60,7 +60,7 @@ class NoiseCfg:
 class RangeSensorCfg(PlacementCfg, ImagesCfg):
     """Common part of all cameras, lidars and ray tables; the classes built on it say where the rays point.
 
-    Order of what becomes of a distance: ray, noise and dropout, limits, normalisation. Out of its limits a pixel holds
+    Order of operations on a distance: ray, noise and dropout, limits, normalisation. Out of its limits a pixel holds
     ``far_pixel`` (beyond ``max_range``, or nothing there) or ``near_pixel`` (closer than ``min_range``, or dropped).
     """
 

@@ -283,8 +283,8 @@ class EnvManager:
     def fly(self) -> None:
         """Advance the physics by an environment step, in one launch.
 
-        It looks for contact with the ground after every substep, and obstacles that push back (``contact``) move and push
-        between the substeps. Other obstacles wait for ``collide``.
+        It tests for ground contact after every substep; obstacles with ``contact`` move and exert forces between the
+        substeps. Others move in ``collide``.
         """
         if self._below is not None:
             self._below.find()
@@ -312,9 +312,8 @@ class EnvManager:
     ) -> None:
         """Start the environments in ``mask``, bool (E,), anew; all of them without a mask. Others stay bit for bit.
 
-        ``counted`` says that the mask is ``random.mask``, and that its new episodes stand in ``random.episode`` already: a task
-        writes both in the launch that finds which episodes end. ``place`` may write where robots of the mask are, after they
-        were placed and so was the race track.
+        With ``counted`` the mask is ``random.mask`` and ``random.episode`` already has its new episodes: a task writes both
+        in the launch that detects ends. ``place`` may move robots of the mask, after the reset of robots and race track.
         """
         all_rows = mask is None
         if not counted:

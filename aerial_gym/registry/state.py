@@ -1,7 +1,7 @@
 """The state of a simulation as a flat dictionary of tensors: everything on which its future depends.
 
-Whoever keeps such tensors lists them by name, ``state_tensors() -> dict[str, Tensor]``; they keep their places, so that
-loading is copying. ``torch.save`` writes the dictionary, ``torch.load(..., weights_only=True)`` reads it.
+Owners of such tensors list them by name, ``state_tensors() -> dict[str, Tensor]``; the tensors keep their memory, so that
+loading is a copy. ``torch.save`` writes the dictionary, ``torch.load(..., weights_only=True)`` reads it.
 """
 
 import hashlib

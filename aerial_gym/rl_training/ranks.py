@@ -1,7 +1,7 @@
 """The processes of one training: ``torchrun`` starts them, each has a rank, and each flies environments of its own.
 
-Only this file knows ``torch.distributed``. Tensors travel as their device asks, by NCCL between GPUs, where the calls can be
-part of a CUDA graph, and by Gloo between CPUs; what the hosts tell each other travels by Gloo. All processes make the same
+Only this file uses ``torch.distributed``. Tensors go by NCCL between GPUs, where calls can be part of a CUDA graph, and by
+Gloo between CPUs; host objects go by Gloo. All processes make the same
 calls in the same order.
 
 Letters: R processes, N samples, O entries of a sample.

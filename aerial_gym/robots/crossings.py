@@ -1,16 +1,16 @@
-"""Fast robots and thin obstacles: where a robot's shape would pass through a part within one substep, as Warp code.
+"""Swept collision test of fast robots and thin obstacles within one substep, as Warp code.
 
-Contact pushes what overlaps at the end of a substep, away from the nearest surface. A robot that moves further than a part is
-thick would be behind it then. So its shapes are swept along the substep (``assets.sweep``). A shape *crosses* a part if it
-touches the part on the way, and at the end is below the plane of that touch without being pushed back above it.
+Contact acts on overlaps at the end of a substep, away from the nearest surface. A robot that moves further than the thickness
+of a part would then be behind it. Therefore its shapes are swept along the substep (``assets.sweep``). A shape *crosses* a part
+if it touches the part on the way, and ends below the plane of that touch without a contact force back above it.
 
-Each crossing gives this plane. The robot stops at the planes, at no greater depth than it had when it touched: it is shifted
-along their normals, and keeps its motion along them. The law of contact then acts on the depth that the robot would have
-reached. This depth is at most the speed times ``dt``, so the implicit law takes speed away and turns nothing round.
+Each crossing gives this plane. A shift along the normals puts the robot no deeper than at its touch; its motion along the
+planes stays. The contact law then acts on the depth of the unshifted path. This depth is at most the speed times ``dt``, so
+the implicit law removes speed and reverses nothing.
 The shifted path is swept again. After ``ROUNDS`` without a clear path the robot stays at its first pose.
 
-Limits: an obstacle that turns round or is wrapped within the substep is not swept here. A box or capsule that pierces a mesh
-has no sure direction of contact, and may be pushed through; its touch is found all the same.
+Limits: an obstacle that bounces or wraps within the substep is not swept here. The contact normal of a box or capsule that
+pierces a mesh is ambiguous, so that it may be pushed through; its touch is still detected.
 Frames: world, z up; shapes in the frame of the body. Letters: E environments, C shapes.
 """
 
@@ -172,8 +172,8 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
     ):
         """Return the earlier crossing: the one found so far, or that of a part or face; and whether it touches like a crash.
 
-        ``before`` and ``push`` are what contact does to the shape at the start and at the end, and 1 once that is known; they
-        come back as well. A shape that is in a mesh at the start is on the side to which contact pushes it, not a face.
+        ``before`` and ``push`` hold the contact normal at the start and at the end, with 1 as fourth entry once known; both
+        are returned. A shape that starts inside a mesh counts as on the side of its contact normal.
         """
         t = touch_time(solid, other, own, path, 0.0, wp.min(found.time, 1.0))
         if t == wp.inf:

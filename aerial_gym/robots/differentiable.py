@@ -1,7 +1,7 @@
 """Motion of robots and joints as an autograd graph, through which gradients flow from step to step.
 
-The Global Tensor Dictionary holds copies of it in float32, for sensors, rewards and whoever else reads it; gradients flow
-through the motion here, which is never overwritten. Letters: E environments, U entries of an action.
+The Global Tensor Dictionary holds float32 copies for sensors, rewards and other readers. Gradients flow through the motion
+here, which is never overwritten. Letters: E environments, U entries of an action.
 """
 
 from collections.abc import Callable, Iterator, Mapping

@@ -1,7 +1,7 @@
 """Warnings about randomisation ranges at whose ends a controller cannot hover, before the first draw.
 
-Each quantity is put to each end of its range, the others as declared: mass, thrust, centre of mass, rotor lag, wind, dead time
-and whatever else ``randomize:`` names. All ends hover side by side in one linearised loop.
+Each quantity of ``randomize:``, such as mass, thrust, centre of mass, rotor lag, wind or dead time, is set to each end of
+its range, the others as declared. All ends are one batch of the linearised hover loop.
 Letters: K drawn numbers, B ends of ranges.
 """
 

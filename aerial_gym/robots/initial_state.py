@@ -60,8 +60,7 @@ class StartArrays:
 def start_row(e: int, given: StartArrays):
     """Write a new state of one environment and its secondary states.
 
-    A row that ends because it was not finite is counted, and the first ones written down. Then what said that an episode
-    ended is cleared.
+    Rows that end by NaN or infinity are counted, and the first ones recorded. Then the flags of episode ends are cleared.
     """
     if given.non_finite[e] != 0:
         place = take_place(given.count)

@@ -1,8 +1,8 @@
 """Contact of the robot with obstacles, at rest or moving: changes its motion after each substep of the physics.
 
-After a substep and its contact with the ground plane the robot stops at what it would pass through (``crossings``). Then the
-obstacles move, and push what overlaps them (``touching_pairs``); the shift by this push passes through nothing either. It is
-a ``SubstepHook``: the fused kernel holds it, and the torch backend calls it. Formula and sources: ``physics.contact``.
+After a substep and its ground contact the swept test stops the robot at obstacles in its path (``crossings``). Then the
+obstacles move, and contact acts on overlaps (``touching_pairs``); its shift is swept as well. It is
+a ``SubstepHook``: the fused kernel includes it, and the torch backend calls it. Formula and sources: ``physics.contact``.
 
 Robots of spheres alone have a shorter kernel.
 Frames: world of each environment, z up; spheres in the body frame. Letters: E environments, A instances, C spheres.
@@ -85,7 +85,7 @@ def _make_meet(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
     def meet(around: SceneSurroundings, obstacles: obstacles_type, env: int, done: Substep):
         """Return a robot's motion after the swept test against obstacles and the impulses of contact.
 
-        Obstacles move by the substep between the two. A robot that nothing touches comes back bit for bit.
+        Obstacles move by the substep between these. The motion of a robot without contact is unchanged bit for bit.
         """
         v = done.lin_vel
         w = done.ang_vel

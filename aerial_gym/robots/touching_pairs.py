@@ -1,7 +1,7 @@
 """Contact pairs: the deepest overlaps between a robot's shapes and obstacle parts, as Warp code.
 
-Spheres, corners of boxes and ends of capsules push as spheres do. Of boxes and capsules the deepest pair pushes as well where
-it is none of these (an edge across an edge, a pole against a face), and so do the corners of box obstacles that are in a box.
+Spheres, corners of boxes and ends of capsules have contact as spheres. Boxes and capsules also have contact at their
+deepest point between these (an edge across an edge, a pole against a face), and with corners of box obstacles inside a box.
 Frames: world of each environment, z up; shapes in the frame of what carries them.
 Letters: E environments, A instances, C spheres.
 """
@@ -202,7 +202,7 @@ def find_pairs(
 def come_fast(pairs: TouchingPairs, lin_vel: wp.vec3, turn: wp.vec3, least_approach: float) -> wp.bool:
     """Return whether any pair overlaps that comes together at a speed [m/s] or faster.
 
-    ``lin_vel`` is that of the point from which levers are counted, ``turn`` the angular velocity, both world.
+    ``lin_vel`` is the velocity of the origin of levers, ``turn`` the angular velocity, both world.
     """
     fast = wp.bool(False)
     for i in range(MAX_CONTACTS):

@@ -1,6 +1,6 @@
 """Reports of rows with NaN or infinite values: the first by name, and on request a record of their last steps.
 
-The host looks at what a reset noticed when it may without waiting; keeping is one launch at the end of a step.
+The host reads the table of non-finite rows without waiting for a GPU; the record is one launch at the end of a step.
 Letters: E environments, N numbers kept of a step, K rows kept.
 """
 

@@ -1,8 +1,8 @@
 """Optical flow: the velocity of each pixel's visible point on the image plane [pixel/s].
 
-A material point at p in the sensor's frame moves with dp/dt = a + b x p, where the twist (a, b) is that of its instance
-relative to the sensor, worked out once per image; its image moves with J dp/dt / |p|, J being the derivative of the
-projection at the pixel's unit direction. A miss is a point at infinity, of which only the turning of the sensor is left.
+A material point at p in the sensor's frame moves with dp/dt = a + b x p, where (a, b) is the twist of its instance relative
+to the sensor, computed once per image. Its image moves with J dp/dt / |p|, J being the derivative of the projection at the
+pixel's unit direction. A miss is a point at infinity, whose flow depends on the sensor's rotation alone.
 
 Frames: a sensor looks along its own x, y left, z up; flow is right and down. World is the environment's own.
 Letters: E environments, S sensors of one kind, M = E * S mounts, H x W = N pixels, A instances, P parts, L links of the robot

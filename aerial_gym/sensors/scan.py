@@ -1,8 +1,8 @@
 """Motion distortion of a scanning lidar, which measures its columns one after the other.
 
-Columns that are measured at once are a group, and each group sees the scene from a seat of its own: where the sensor was
-then. The image is complete at the instant of capture; robot and obstacles came there with the twists that they have then: their
-origins straight on, but links of a robot by a screw motion, whatever point of them their frames have for an origin.
+Columns measured at the same time form a group, and each group has a sensor pose of its own, called seat. The image is
+complete at the instant of capture. Past poses follow from the twists at that instant: origins of body and obstacles on
+straight lines, links by screw motions, which do not depend on the choice of their origin.
 
 Frames: body is x forward, y left, z up; world is the environment's own. Letters: E environments, S sensors of one kind,
 M = E * S mounts, G groups, A instances, P parts, L links of the robot that are seen.
@@ -100,8 +100,8 @@ def look_back(
 ):
     """Write a part's pose in the frame of one column group.
 
-    Instead of the instance the seat is moved: it sees the present instance from where, relative to it, it was. Relative to
-    its own link that is where the sensor is now.
+    The seat is moved instead of the instance: to its past pose relative to the instance. Relative to its own link that is
+    the present pose.
     """
     row, a = wp.tid()
     env = row // seat_position.shape[1]

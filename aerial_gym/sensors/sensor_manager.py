@@ -117,13 +117,13 @@ class SensorManager:
     def capture(self, mask: Tensor | None = None) -> None:
         """Take the images that are due from the present poses; launched on torch's current stream, not waited for.
 
-        With a mask, bool (E,), nothing of the other environments is looked at or moves on.
+        With a mask, bool (E,), the other environments are neither read nor advanced.
 
         Images of a sensor with a latency appear that much later, rounded to whole steps; after a reset the first image of an
         environment appears at once.
 
-        A sensor without a rate takes one at every call. One with a rate keeps its last image between two of its own
-        moments, which follow the reset of each environment.
+        A sensor without a rate takes an image at every call. One with a rate keeps its last image between its sample times,
+        which count from the reset of each environment.
         """
         for name, clock in self._clock.items():
             caster = self.casters[name]

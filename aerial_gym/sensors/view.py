@@ -1,8 +1,8 @@
 """The instances of a scene as one sensor sees them: every ray of a sensor starts at one point.
 
 For each sensor and instance, once per image, the map from the sensor's frame to the frame of the instance's bounding box
-(a cube of half edge 1) is worked out; a ray then costs a product of matrix and vector instead of two turns, and neither
-pose nor shape is read.
+(a cube of half edge 1) is computed; a ray then costs a matrix-vector product instead of two rotations, and reads neither
+pose nor shape.
 
 Frames: a sensor looks along its own x; world is the environment's own. Letters: E environments, S sensors of one kind,
 M = E * S mounts, P parts.

@@ -1,8 +1,8 @@
 """Levels of the drone racing benchmark lsy_drone_racing, as tasks: ``--task level2.toml``.
 
 A level is a TOML file of github learnsyslab/lsy_drone_racing (formerly utiasDSL/lsy_drone_racing), config/level*.toml: a track,
-the start, what a reset draws of vehicle, gates and poles, and frequencies. What it leaves to the code of the benchmark (limits,
-reward, what a policy sees) is that of ``racing_task``; ``docs/guides/racing.md`` says where the two differ.
+the start, what a reset draws of vehicle, gates and poles, and frequencies. Limits, reward and observations, which the
+benchmark has in code, are those of ``racing_task``; ``docs/guides/racing.md`` lists the differences.
 Frames: world, z up; Euler angles there are extrinsic xyz, which is ZYX here.
 """
 

@@ -33,10 +33,10 @@ POSSIBLE = 1e-6
 def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) -> TaskCfg:
     """Return a task with the action ``rotor_range`` resolved for a robot; other tasks unchanged.
 
-    An action of -1 and 1 is then the lowest and the highest speed [rad/s] or thrust [N] that a rotor can be told, whichever the
-    controller takes, and its entries belong to places (``order_of_places``). With ``params: {places: 4}`` a robot with another
-    number of rotors, or whose rotors turn the other way round or are told thrusts as they have a force mode, is flown as a
-    quadrotor: what its four would lift and turn, all of them do (``mix_of_four``).
+    An action of -1 and 1 is then the lowest and the highest command of a rotor, speed [rad/s] or thrust [N], and its
+    entries belong to places (``order_of_places``). With ``params: {places: 4}`` a robot with another number of rotors,
+    other spins or force mode takes the commands of a quadrotor: its rotors together give the lift and torque of those four
+    (``mix_of_four``).
 
     Raises:
         ConfigError: If the controller takes neither, the robot cannot be flown so, or a parameter is not known.
@@ -77,9 +77,9 @@ def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) ->
 def mix_of_four(robot: RobotCfg) -> tuple[tuple[float, ...], ...]:
     """Return the mixing matrix (R, 4) from the four thrust shares of a quadrotor to the thrust shares of R rotors.
 
-    Lift along body z and each torque alone are made with the least thrusts that make nothing else. A whole lift is where the
-    first rotor is at its end, a whole torque where all are in the root mean square. So a quadrotor whose arms form a square is
-    flown rotor by rotor.
+    Lift along body z and each torque use the least-squares thrusts without other components. Full lift is reached when the
+    first rotor is at its limit, full torque when the root mean square of all is. For a quadrotor with square arms the
+    matrix is the identity.
 
     Raises:
         ConfigError: If the rotors cannot lift or turn the robot about each axis by itself.

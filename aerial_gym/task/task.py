@@ -59,23 +59,22 @@ class Task:
 
     ``step`` returns the observation *after* the masked reset; the last one of a finished episode stands in
     ``info["final_observation"]``, that of another group in ``info["final_<group>"]``, in the rows where
-    ``terminated | truncated``. ``info["time_outs"]`` marks episodes whose return is taken to go on (``truncated``), for
-    bootstrapping the value; a success ends an episode as its termination says. ``info`` also holds ``successes``, ``crashes``
+    ``terminated | truncated``. ``info["time_outs"]`` marks truncated episodes, for bootstrapping the value; the termination
+    of a success decides whether it counts as one. ``info`` also holds ``successes``, ``crashes``
     and ``timeouts``, bool (E,): one of them is true where an episode ended. ``episode_return``, ``episode_length`` [steps],
     ``reward_terms``, (E, T), the return term by term (``reward_names``), and ``distance`` to the target [m] are those before
     the reset; where there are gates, so is ``gate_passed``, bool (E,).
 
-    A row in which something is not finite, NaN or infinite, ends as a crash: ``info["non_finite"]``, bool (E,), marks it. Its
-    reward is that of a crash (0 where the task knows none), its last observation has zeros there, its state is reset with
-    those of the other rows that ended, and none of these is touched. The first such row is named in a warning, and ``watch``
-    keeps what led to it.
+    A row with NaN or infinite values ends as a crash: ``info["non_finite"]``, bool (E,), marks it. Its reward is that of a
+    crash (0 if the task has none), its last observation has zeros in place of these values, and it is reset like other
+    ended rows, which it does not affect. A warning names the first such row, and ``watch`` records the steps before it.
 
-    Images are taken once a step, after the reset: what terms of ``final_observation`` see of them is one step old. Where the
-    task gives raw ``images``, they are taken before it, and once more where an episode begins: all that is seen is of its
-    instant, and ``info["final_<image>"]`` holds the last images of the rows that ended.
+    Images are taken once a step, after the reset, so that image terms of ``final_observation`` are one step old. Tasks with
+    raw ``images`` take them before the reset, and again where an episode begins: then all are of their instant, and
+    ``info["final_<image>"]`` holds the last images of ended rows.
 
     On a GPU the whole step is one CUDA graph, recorded at the first ``reset``: the tensors that ``step`` returns are then
-    overwritten by the next one; clone what must stay. ``captured`` says whether it is so.
+    overwritten by the next one; clone what must stay. ``captured`` is true in that case.
 
     Around a ``differentiable`` simulation reward, observation and last observation of an episode have gradients with respect to
     the actions of this step and of those before it, back to the reset of their row or to ``detach``. Such a step is no graph of
@@ -331,8 +330,8 @@ class Task:
     def parts(self) -> dict[str, Callable[[], None]]:
         """Return the parts of a step, to be timed one by one; each changes the simulation as within a step.
 
-        ``reset`` is that of a hundredth of the environments; ``rendering`` is missing where the robot has no sensor. The rest
-        of a step is what the task itself computes.
+        ``reset`` resets a hundredth of the environments; ``rendering`` is missing without sensors. The rest of a step is
+        the task's own computation.
         """
         few = torch.arange(self.num_envs, device=self.device) % 100 == 0
         found: dict[str, Callable[[], None]] = {"physics": self.env.fly, "collision": self.env.collide}

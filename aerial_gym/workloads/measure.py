@@ -1,7 +1,7 @@
 """Timing between two synchronisations, and the checks that a workload did its work.
 
-A repeat is made of stretches: each starts from the same state, which is put back outside the timed span, and ends before
-the vehicles can have left the space in which they are checked.
+A repeat consists of stretches: each starts from the same state, restored outside the timed span, and ends before vehicles
+can leave the checked space.
 """
 
 import statistics

@@ -4,10 +4,10 @@
 # (Warp compiles the kernel from its source; Python's type rules do not describe it.)
 """Triangle meshes beside which ``bench render`` is measured: the obstacles of an environment merged into one.
 
-``merged`` is how the Aerial Gym Simulator sees: a mesh for each environment, a query per pixel in the order of rows. At most
-``DISTINCT`` environments are built and then used again by the others, which saves minutes and favours the baseline: its
-trees stay in the cache. ``shared_mesh`` is the least that triangles can cost: one mesh for all environments, which must be
-alike, and neighbouring pixels side by side. Depth only.
+``merged`` is the method of the Aerial Gym Simulator: a mesh per environment, a query per pixel in the order of rows. At
+most ``DISTINCT`` environments are built and shared by the others, which saves minutes and favours the baseline, as its
+trees stay in the cache. ``shared_mesh`` is a lower bound for triangles: one mesh for all environments, which must be equal,
+with neighbouring pixels in one block. Depth only.
 """
 
 import numpy as np

@@ -1,9 +1,9 @@
 """Translation of Aerial Gym Simulator configuration classes to the frozen configurations of this package.
 
-There a configuration is a class with attributes, in nested classes, that a user derives and changes. Here each such attribute
-is a ``Field`` of a table that says what it becomes; classes are made from our configurations by the table and are read back by
-it, so that a number stands once, in our YAML file. What a class does not name keeps the value of the configuration that its
-nearest ancestor stands for. An attribute that no table knows is refused by name.
+In that simulator a configuration is a class with attributes, in nested classes, that users derive and change. Here a table
+has a ``Field`` with the translation of each attribute. It generates classes from the configurations of this package and
+translates them back, so that each number is in one YAML file. Attributes that a class does not set keep the value of its
+nearest generated ancestor. Unknown attributes are refused by name.
 """
 
 import logging

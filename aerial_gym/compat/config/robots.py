@@ -1,8 +1,8 @@
 """Robots: classes with ``init_config``, ``sensor_config``, ``robot_asset`` and ``control_allocator_config`` inside.
 
-Mass, inertia and geometry stand in URDF files there; here in a robot file, from which the allocation matrix is derived. A class
-changes the robot that its nearest ancestor stands for; with a URDF and an allocation matrix of its own it brings another body.
-Thrust constants there are per (rev/s)², here per (rad/s)².
+That simulator has mass, inertia and geometry in URDF files; this package in a robot file, from which the allocation matrix
+is derived. A class modifies the robot of its nearest generated ancestor; with a URDF and an allocation matrix of its own it
+replaces the body. Thrust constants change from per (rev/s)² to per (rad/s)².
 """
 
 from math import pi

@@ -5,10 +5,10 @@
     config.yaml       the settings, from which it can be repeated
     versions.json     versions and machine of every session
     curve.csv         loss and error on other scenes after each epoch
-    checkpoint.pth    the state after an epoch, from which --resume goes on
-    encoder.pt        what a task loads (``--encoder``)
-    result.json       figures on images that it has not seen, and those of its rivals
-    images.png        some of these images, and what is told of them
+    checkpoint.pth the state after an epoch, for --resume
+    encoder.pt the encoder for tasks (``--encoder``)
+    result.json figures on test images, with those of the baselines
+    images.png some test images and their reconstructions
 """
 
 import csv

@@ -1,9 +1,9 @@
 """Short-horizon actor-critic: the return of a short window is differentiated through the simulation itself.
 
 The policy climbs the mean over rows of ``sum_k gamma^k r_k + gamma^n V(s_n)``, summed over the episodes of a window. The
-gradient is computed through policy, controller and physics; it ends where a window begins and where an episode does. The critic
-that judges the last state of a window, or of an episode that was truncated, follows lambda-returns slowly (``target``); without
-``terminal_value`` V is 0 and no critic learns.
+gradient is computed through policy, controller and physics; it ends at the start of a window and of an episode. The critic
+for the last state of a window, or of a truncated episode, is a slow copy (``target``) of one fitted to lambda-returns;
+without ``terminal_value`` V is 0 and no critic is trained.
 
 Letters: T steps of a window, E environments, U entries of an action.
 

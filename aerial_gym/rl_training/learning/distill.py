@@ -1,8 +1,8 @@
 """Distillation: a student learns the teacher's actions at states that the student visits.
 
-The teacher may see what only a simulation knows; the student sees what it will have. Rows are flown by the teacher at first, by
-the student in the end; the teacher is asked everywhere. The student's deviation learns how far it is from its teacher, so that
-``ppo`` could explore from there.
+The teacher may observe simulation-only quantities, the student those of the real vehicle. The teacher acts in most rows at
+first, the student in all at the end; the teacher labels every state. The student's standard deviation is fitted to its
+distance from the teacher, as exploration for a later ``ppo``.
 
 Letters: T steps of a segment, E environments, U entries of an action.
 

@@ -68,7 +68,7 @@ class _Bounded(torch.autograd.Function):
 def bounded(action: Tensor) -> Tensor:
     """Return actions clamped to -1 to 1, (E, U), with the gradient of a loss that is minimised under this bound.
 
-    Beyond the bound a descent may come back but go no further out; plainly clamped, it would stay there for ever. A gradient
-    that is not finite, of a row that went astray, is 0.
+    Beyond the bound a descent may return but go no further out; with a plain clamp it would have no gradient there. NaN or
+    infinite gradients of diverged rows are set to 0.
     """
     return _Bounded.apply(action)

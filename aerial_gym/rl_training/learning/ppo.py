@@ -1,8 +1,8 @@
 """Proximal policy optimisation: roll the simulation out, estimate advantages, follow the clipped objective.
 
-Everything stands on the device and nothing waits for it: ``Ppo.iterate`` can be held in one CUDA graph, simulation included,
-and the same code runs step by step on a CPU. With several processes each flies its environments; gradients,
-divergence, normalisers and sums are those of all (``Ranks``), so that networks and rates are equal in each.
+All data are on the device and nothing waits for it: ``Ppo.iterate`` can be one CUDA graph, simulation included, and the
+same code runs step by step on a CPU. With several processes each simulates its own environments; gradients, divergence,
+normalisers and sums are combined over all (``Ranks``), so that networks and rates are equal in each.
 
 Letters: T steps of a segment, E environments, U entries of an action, M numbers of memory.
 

@@ -40,7 +40,7 @@ def _beside(device: torch.device) -> Iterator[AbstractContextManager[object]]:
 class ActorCritic(nn.Module):
     """A policy with a value head, on a body of its own or on the policy's.
 
-    Values are as normalised as the returns that they are learned from: ``scale`` counts these.
+    Values are normalised like their target returns; ``scale`` has the statistics of these.
     """
 
     def __init__(self, actor: Policy, critic: BodyCfg | None) -> None:

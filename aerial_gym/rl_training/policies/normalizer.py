@@ -32,8 +32,8 @@ class RunningNormalizer(nn.Module):
     def __init__(self, shape: tuple[int, ...] = (), *, limit: float = LIMIT, outlier: float = inf) -> None:
         """Take the shape of a sample; before the first update nothing is changed but clamped.
 
-        Samples more than ``outlier`` standard deviations from the mean so far are counted as if they were there. What was
-        counted is never forgotten: one reward of an impossible moment would spoil all that come after it.
+        Samples are clipped to ``outlier`` standard deviations from the running mean before they count. Statistics never
+        decay, so that one impossible reward would otherwise spoil all later values.
         """
         super().__init__()
         self.limit, self.outlier = limit, outlier

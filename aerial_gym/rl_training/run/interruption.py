@@ -14,7 +14,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 class Interruption:
     """Whether somebody asked the training to end. A library may swallow the exception; this is remembered.
 
-    Several processes leave together, where all of them look: one that left alone would keep the others waiting.
+    All processes end together at a common check: one that ended alone would leave the others waiting.
     """
 
     def __init__(self, ranks: Ranks = ALONE) -> None:

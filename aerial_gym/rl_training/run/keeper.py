@@ -24,7 +24,7 @@ _log = logging.getLogger(__name__)
 class Keeper:
     """Writes checkpoints: the trainer's state, and beside it settings, curriculum and random states.
 
-    With several processes all save together, and rank 0 writes: its state, and what the others have of their own.
+    With several processes all save together, and rank 0 writes its state and the keys that differ in the others.
     """
 
     def __init__(

@@ -1,8 +1,8 @@
 """Largest stable time step of a robot under a controller, from simulated flights to rest.
 
-Where ``control.stability`` looks at the linearised loop, this flies the loop itself, limits, effects and all, from disturbed
-starts near hover, in the physics backend in which it will fly. A robot with joints flies rigid in its reference pose; one whose
-tail rotor leans on a servo flies with it, and ``tail_servo`` holds its heading, as no rotor does.
+``control.stability`` tests the linearised loop; this module simulates the full loop with limits and effects, from disturbed
+starts near hover, in the physics backend of later flights. A robot with joints is rigid in its reference pose, except for a
+tail servo: ``tail_servo`` then holds the heading.
 Letters: E environments, U entries of an action.
 """
 
@@ -83,9 +83,9 @@ class StableStep:
 def largest_stable_step(robot: RobotCfg, controller: ControllerCfg, *, name: str, gravity: float = 9.81) -> StableStep:
     """Return the largest time step at which a robot comes to rest under a controller, which is built for each time step.
 
-    Flights start disturbed on the axes that law and rotors control, each another way, and come to rest if in their last tenth
-    these differ by less than ``AT_REST`` of the disturbance between flights and moments. Where that is need not be hover of the
-    declared vehicle: a hung load pulls it down. Effects of wind are left out: in gusts nothing comes to rest.
+    Flights start with different disturbances on the controlled axes. They are at rest if in their last tenth the state
+    differs by less than ``AT_REST`` of the disturbance between flights and times. The rest pose may differ from declared
+    hover: a slung load lowers it. Wind effects are left out, as gusts prevent rest.
 
     Args:
         gravity: Downward acceleration of free fall [m/s²].
@@ -126,8 +126,8 @@ def _largest_step(holds: Callable[[float], bool]) -> float | None:
 def _comes_to_rest(robot: RobotCfg, controller: ControllerCfg, dt: float, loop: ClosedLoop, gravity: float) -> bool:
     """Return whether all flights with a time step [s] end at one and the same rest on the axes that law and rotors control.
 
-    A slow integrator is at rest after minutes, and holds its vehicle all the while: flights may be ``SLOW`` times as far from
-    rest as the linearised loop is by then.
+    A slow integrator takes minutes to settle without instability: flights may be ``SLOW`` times as far from rest as the
+    linearised loop at that time.
     """
     size = torch.tensor(DISTURBANCE).repeat_interleave(3)
     tail = tail_of(robot, dt, gravity)

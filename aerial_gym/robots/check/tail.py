@@ -1,7 +1,7 @@
 """Hover and control authority of a tricopter, whose tail servo tilts the tail rotor to give yaw torque.
 
-Its unknowns at hover are the thrusts of the other rotors and two of the tail: the part along body z and that along -y, which a
-positive angle gives. In these forces and torques are linear; thrust and angle are their length and direction.
+The unknowns at hover are the thrusts of the other rotors and two components of the tail's thrust, along body z and along -y
+(a positive angle). Force and torque are linear in these; thrust and angle are their length and direction.
 The rotor points along body z in the reference pose and the axis of its joint runs through its hub, as ``tail_servo`` takes it.
 Frames: body is x forward, y left, z up. Letters: R rotors.
 """

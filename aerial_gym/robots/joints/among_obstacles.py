@@ -1,8 +1,8 @@
 """Swept collision test of links against obstacles, for engines that find contacts themselves: fast touches are crashes.
 
-A ``SubstepHook``: after each substep every link is swept along it (``crossings``), a touch at the speed of a crash is a crash,
-and the obstacles move. Then every link is looked at as ``scene_contact`` looks at a rigid body. What overlaps pushes from the
-next substep on; what passes through between two poses is a crash, and pushes nothing.
+A ``SubstepHook``: after each substep every link is swept along it (``crossings``), a touch at crash speed is a crash, and
+the obstacles move. Then the links are tested like rigid bodies in ``scene_contact``. Overlaps exert forces from the next
+substep on. A passage between two poses is a crash without a force.
 Frames: world, z up; shapes in the frames of their links. Letters: E environments, L links.
 """
 

@@ -1,13 +1,13 @@
 """Pose and velocity of links, for the sensors, visible shapes and collision shapes on them.
 
-The frame of a link is that of the body in the reference pose, in which a robot file tells all places: where link k is, is the
-product of the turns and shifts of the joints from the base to it, each about its axis in the reference pose::
+The frame of a link equals the body frame in the reference pose, in which a robot file gives all positions. The pose of link
+k is the product of exponentials of the joints from the base to it, each about its axis in the reference pose::
 
     X_k = X_parent exp(s_k (q_k - q_ref))
     w_k = w_parent + R_parent a_k q_k'        v_k = v_parent + w_parent x (x_k - x_parent) + R_parent a_k q_k' x (x_k - hinge)
 
-of a revolute joint; a prismatic one leaves w_parent and adds R_parent a_k q_k' to the velocity. v_k is that of the frame's
-origin, which may lie far from the link.
+of a revolute joint; a prismatic one keeps w_parent and adds R_parent a_k q_k' to the velocity. v_k is the velocity of the
+frame's origin, which may be far from the link.
 Source: Murray, Li, Sastry (1994), A Mathematical Introduction to Robotic Manipulation, section 3.2.2 (product of exponentials).
 Frames: world z up; a link's as said. Letters: E environments, D joints, L = D + 1 links, the base first, K substeps of a step,
 M pieces of a substep.

@@ -1,6 +1,6 @@
 """Servo angle of a tail rotor, with which a tricopter holds its heading.
 
-Controllers command rotors; the drive of a joint is an entry of the action behind theirs, which whoever flies the vehicle gives.
+Controllers command rotors; drives of joints are further entries of the action, which the pilot or policy gives.
 Frames: body is x forward, y left, z up. Letters: E environments.
 """
 

@@ -66,7 +66,7 @@ def shares_of(image: Tensor, cfg: RangeSensorCfg) -> Tensor:
 class Encoder(nn.Module):
     """The mean of the latents of an image; weights of 16 bits as in the file, computed with in 32.
 
-    Rows of a batch do not change each other but by rounding, as libraries choose their order of sums by the size of the batch.
+    Rows of a batch are independent up to rounding, as libraries choose the order of sums by batch size.
     """
 
     def __init__(self, network: Autoencoder, seen: SeenCfg, *, trained: Mapping[str, object]) -> None:

@@ -97,8 +97,8 @@ def divergence(mean: Tensor, log_variance: Tensor) -> Tensor:
 def negative_evidence(images: Tensor, decoded: Tensor, mean: Tensor, log_variance: Tensor) -> Tensor:
     """Return the bound of an image's negative log evidence [nat], up to a constant: ``H W ln(sigma) + divergence``.
 
-    The deviation sigma of a pixel is the one that explains the batch best, the root of its mean squared error, so that no
-    number weighs the two against each other.
+    The standard deviation of a pixel is its maximum-likelihood value for the batch, the root mean squared error, so that no
+    weight between the two terms is needed.
 
     Args:
         images: Shares of the largest distance, (B, H, W).

@@ -29,9 +29,8 @@ SEEN = {"gates_seen": "gate_position", "poles_seen": "pole_position"}
 class TrackGates(Command):
     """The next gate of the track: its middle is the target, ``target_orientation`` how it stands; the first one at a reset.
 
-    ``gate_passed``, ``gate_missed`` and ``sequence_done`` are as those of ``gates``. ``gates_seen`` and ``poles_seen`` say of
-    which gates and poles the pilot has been within range, seen from above, since the reset: of the others it knows where they
-    are nominally.
+    ``gate_passed``, ``gate_missed`` and ``sequence_done`` are as those of ``gates``. ``gates_seen`` and ``poles_seen`` mark
+    gates and poles that were within horizontal range since the reset; of others the pilot knows the nominal pose.
     """
 
     def __init__(

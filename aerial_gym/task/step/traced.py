@@ -1,7 +1,7 @@
 """Inputs of terms with gradients: motion and actions of a differentiable simulation, and quantities derived from them.
 
-The Global Tensor Dictionary and the task's buffers show numbers without gradients and are written anew in every step. With a
-graph the same functions that are made into kernels otherwise run as torch operations, on tensors that are never written again.
+The Global Tensor Dictionary and the task's buffers have no gradients and are overwritten in every step. With a graph the
+functions that otherwise become kernels run as torch operations, on tensors that are never overwritten.
 Letters: E environments.
 """
 

@@ -1,7 +1,7 @@
 """Task buffers: values of the previous step, declared like GTD keys and made when a term reads them.
 
-A buffer is a pure function like a term: after every step, and after the resets in it, it is computed for all environments, and
-terms of the next step read it. It may read itself, and ``begun``, which says whose episode has just begun.
+A buffer is a pure function like a term, computed for all environments after every step and its resets, and read by terms of
+the next step. It may read itself, and ``begun``, the mask of episodes that have just begun.
 Letters: E environments, U entries of an action.
 """
 

@@ -1,6 +1,6 @@
 """Terms of observations: pure functions of tensors of one instant, (E, ...) to (E, W).
 
-Every key of the GTD and every task buffer is such a term too, by its own name: its entries side by side.
+Every GTD key and every task buffer is a term by its own name as well, flattened to a vector.
 Letters: E environments, W entries.
 """
 
@@ -179,8 +179,8 @@ def next_gates(
 ) -> Tensor:
     """Return offset [m] and direction of the next gates at their known poses, vehicle frame, (E, 6 count).
 
-    Of a gate that has been seen this is where it is, of another one where it is nominally. Behind the last one stands the
-    first: what has been flown through is an obstacle still.
+    A gate already seen counts at its true pose, others at their nominal one. The first gate follows the last, as passed
+    gates remain obstacles.
     """
     seen = gates_seen.unsqueeze(-1)
     position = torch.where(seen, gate_position, gate_nominal_position)

@@ -1,7 +1,7 @@
 """A term: a pure function whose arguments say what it reads and which numbers it takes.
 
 ``def near(target_position: Tensor, robot_position: Tensor, *, width: float) -> Tensor`` reads two tensors, which are keys of
-the GTD or task buffers, (E, ...), and has one parameter. Whatever is known of a term stands in its signature.
+the GTD or task buffers, (E, ...), and has one parameter. The signature is the whole interface of a term.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -21,9 +21,9 @@ AT_AXIS = 0.1
 def way_through(position: Tensor, orientation: Tensor, robot: Tensor) -> Tensor:
     """Return the length of the path to a gate's centre from its front side [m], (E,).
 
-    In front it leads to a point on the gate's axis, ``WAY_STRAIGHT`` before it, and then along the axis; nearer than that,
-    straight to the axis and along it. From behind it leads to the nearest point of a circle of ``WAY_AROUND`` about the gate,
-    and from there to its middle. Continuous but where the plane is crossed within the circle.
+    From the front it leads to a point on the gate's axis, ``WAY_STRAIGHT`` before it, and then along the axis; closer in,
+    straight to the axis and along it. From behind it leads to the nearest point of a circle of radius ``WAY_AROUND`` around
+    the gate, and from there to its centre. It is continuous except where the plane is crossed within the circle.
 
     Args:
         position: Middle of the gate [m], world, (E, 3).
