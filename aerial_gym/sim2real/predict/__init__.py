@@ -1,1 +1,1 @@
-"""What a model predicts of flights, beside what was measured: step by step and in open-loop rollouts."""
+"""Predictions of a model for measured flights: one-step residuals and open-loop rollouts."""

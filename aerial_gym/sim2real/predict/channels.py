@@ -1,4 +1,4 @@
-"""What is compared: the channels that flights have in common, and the band."""
+"""The compared channels: quantities that all flights have, and the comparison band."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ UNITS = {
     "kinematic_force": "m/s²",
     "kinematic_rate": "rad/s",
 }
-"""Of each kind of channel, in their order."""
+"""SI unit of each kind of channel, in the order of the channels."""
 
 KINEMATIC = ("kinematic_force", "kinematic_rate")
 """Kinds that need no dynamics."""
@@ -42,7 +42,7 @@ class Channel:
 
 
 def comparison_band(flights: Sequence[Flight], bandwidth: float) -> float:
-    """Return below which frequency measured and predicted are compared [Hz]: the one asked for, as far as the logs reach."""
+    """Return the comparison bandwidth [Hz]: the requested one, limited by the slowest log's rate."""
     return min(bandwidth, HIGHEST_BAND * min(flight.rate for flight in flights))
 
 

@@ -1,4 +1,4 @@
-"""A model as numbers: effects with their parameters, deviations within the tolerances, what was learned.
+"""Parameters of a model: effects, deviations within the tolerances and a learned residual.
 
 Letters: E rows, P parameters, N tolerances.
 """
@@ -17,16 +17,16 @@ from aerial_gym.sim2real.arrays import Array
 
 @dataclass(frozen=True, kw_only=True)
 class ModelParams:
-    """Parameters of a model: effects with theirs, and deviations within the tolerances."""
+    """Parameters of a model's effects and its deviations within the tolerances."""
 
     effects: dict[str, Array] = field(default_factory=dict)
-    """Parameters by effect name, each (P,); an effect that is not here is not in the model."""
+    """Parameters by effect name, each (P,); effects not listed are not in the model."""
 
     deviation: Array | None = None
-    """In standard deviations of the tolerances, (N,); None: exactly as declared."""
+    """Deviations in standard deviations of the tolerances, (N,); None: exactly as declared."""
 
     learned: LearnedResidual | None = None
-    """What flights have taught beyond the effects."""
+    """Learned residual beyond the effects; None without one."""
 
     def with_effect(self, name: str, params: Array) -> "ModelParams":
         """Return the parameters with one effect added or replaced."""
@@ -34,7 +34,7 @@ class ModelParams:
 
 
 def declared_params(robot: RobotCfg) -> ModelParams:
-    """Return the model that the robot file declares, taken as rigid, without what is random."""
+    """Return the declared model as a rigid vehicle, without random effects."""
     kept = {name: values for name, values in robot.effects.items() if EFFECTS.get(name).predicts}
     return ModelParams(
         effects={name: np.array(EFFECTS.get(name).params_from(values)) for name, values in kept.items()},
@@ -43,7 +43,7 @@ def declared_params(robot: RobotCfg) -> ModelParams:
 
 
 def effects_at(params: ModelParams, rows: int) -> list[EffectParams]:
-    """Return the effects of a model with their parameters in every row, (E, P)."""
+    """Return the effects of a model with their parameters repeated in every row, (E, P)."""
     found: list[EffectParams] = [
         (EFFECTS.get(name), torch.from_numpy(np.asarray(values, dtype=float)).expand(rows, -1))
         for name, values in params.effects.items()
@@ -54,6 +54,6 @@ def effects_at(params: ModelParams, rows: int) -> list[EffectParams]:
 
 
 def key_of(params: ModelParams) -> tuple[object, ...]:
-    """Return what tells effects and deviations of a model from those of others, their order included."""
+    """Return a hashable key of a model's effects, in order, and its deviations."""
     effects = [(name, np.asarray(values, dtype=float).tobytes()) for name, values in params.effects.items()]
     return (None if params.deviation is None else params.deviation.tobytes(), *effects)

@@ -1,11 +1,12 @@
-"""The noise floor: how small a residual could be if the model were perfect.
+"""The noise floor: the RMS residual that a perfect model would leave.
 
-Sensor noise is white, so its level shows where the vehicle hardly moves: above the band of the comparison. There the
-spectrum of the residual is fitted by a level, and a part that grows with the square of the frequency (a differentiated
-signal); both are carried down through the low-pass. Vibration above the band makes the floor too high, never too low, and so
-does a log that is too slow to tell the level from the growth.
-Neither falls: where the spectrum does, a filter of the sensor has taken the noise away, and lines from there on do not count.
-What rounding adds is not white where a signal stays between two values of its log: it is seen by rounding anew.
+Sensor noise is white, so its level is measured above the comparison band, where the vehicle hardly moves. The residual's
+spectrum there is fitted by a constant plus a term in the squared frequency, for a differentiated signal. Both are
+extrapolated down through the low-pass. Vibration above the band makes the floor too high, never too low; so does a log
+too slow to separate the two terms.
+
+A spectrum that falls there was low-passed by the sensor; lines beyond the fall are ignored. Rounding noise is not white
+if a signal stays between two log values; it is estimated by rounding simulated signals.
 Letters: C channels.
 """
 
@@ -27,51 +28,51 @@ from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate, as_me
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 
 WIDE_BAND = 0.4
-"""The residual is taken up to this share of the rate,"""
+"""Bandwidth of the residual's spectrum as a share of the rate."""
 
 FIT_FROM = 1.5
-"""and fitted from this multiple of the bandwidth"""
+"""Lower end of the fit in comparison bandwidths."""
 
 FIT_TO = 0.32
-"""to this share of the rate,"""
+"""Upper end of the fit as a share of the rate."""
 
 FIT_FROM_AT_LATEST = 0.7
-"""but at least from this share of that, for a log may be slow for its band,"""
+"""Largest lower end of the fit as a share of its upper end, for logs that are slow for their band."""
 
 CLEAR_OF_BAND = 1.1
-"""and never from below this multiple of the bandwidth."""
+"""Least lower end of the fit in comparison bandwidths, whatever the rate."""
 
 NARROW = 2.0
-"""Lines whose highest frequency is less than this multiple of the lowest do not tell a level from growth: all is level."""
+"""Least frequency ratio of the fitted lines that separates both terms; below it only the constant is fitted."""
 
 NARROW_READING = 3.0
-"""The same for what a sensor reads itself, whose noise does not grow."""
+"""The same ratio for direct sensor readings, whose noise does not grow with frequency."""
 
 FALLEN = 0.25
-"""A spectrum below this share of where the fit begins has been filtered."""
+"""Share of the first band's density below which a band counts as low-passed."""
 
 BAND_RATIO = 1.6
-"""Width of the bands in which it is averaged to tell."""
+"""Frequency ratio of the bands over which the spectrum is averaged for this."""
 
 SEGMENT_S = 2.0
 """Length of a segment of Welch's spectrum [s]."""
 
 LOGS = 4
-"""How often a log is rounded anew."""
+"""Number of simulated roundings of a log."""
 
 FEWEST_LINES = 4
-"""Fewer spectral lines than this give no floor."""
+"""Least number of spectral lines of a fit."""
 
 
 def noise_floor(
     robot: RobotCfg, flights: Sequence[Flight], params: ModelParams, channels: Sequence[Channel], *, bandwidth: float
 ) -> Array | None:
-    """Return the floor (rms) of each channel below ``bandwidth`` [Hz], (C,); None where every log is too slow to tell."""
+    """Return the noise floor (RMS) of each channel below ``bandwidth`` [Hz], (C,); None if every log is too slow."""
     return of_all_flights([floor_of_flight(robot, flight, params, channels, bandwidth) for flight in flights])
 
 
 def of_all_flights(floors: Sequence[Array | None]) -> Array | None:
-    """Return the floor of flights whose own ones are known, each (C,); None if there are none."""
+    """Return the RMS of the known floors of several flights, (C,); None if there are none."""
     known = [floor for floor in floors if floor is not None]
     return np.sqrt(np.mean(np.square(known), axis=0)) if known else None
 
@@ -79,11 +80,11 @@ def of_all_flights(floors: Sequence[Array | None]) -> Array | None:
 def floor_of_flight(
     robot: RobotCfg, flight: Flight, params: ModelParams, channels: Sequence[Channel], bandwidth: float
 ) -> Array | None:
-    """Return the floor (rms) of each channel of one flight, (C,); None where its log is too slow to tell.
+    """Return the noise floor (RMS) of each channel of one flight, (C,); None if the log is too slow.
 
-    The level is that of a prediction from measured rotor speeds. Of its noise N a prediction from expected ones has the share
-    s of motion, and differs from it by ``(1 - s)² (N + S) = (1 - s) N``: what the two differ by is taken off, as far as the
-    noise of what is predicted allows. What rounding leaves in the band beyond that level is added.
+    The first estimate uses a prediction from measured rotor speeds. A prediction from expected speeds keeps the motion's
+    share s of their noise N and differs from it by ``(1 - s)² (N + S) = (1 - s) N``. This is subtracted, down to the noise
+    of the measured channel itself. Rounding noise within the band is added.
     """
     readings, rate = [is_reading(channel, flight) for channel in channels], flight.rate
     as_logged = wide_predictor(robot, [flight], channels, [as_measured(flight)])
@@ -106,9 +107,9 @@ def floor_of_flight(
 def square_of_slow_rounding(
     robot: RobotCfg, flight: Flight, params: ModelParams, channels: Sequence[Channel], bandwidth: float
 ) -> Array:
-    """Return the mean square of what rounding leaves of each channel in the band, and that above it does not tell, (C,).
+    """Return the mean square of rounding errors in the band, beyond the level seen above it, (C,).
 
-    From the difference between the residuals of two logs, of which one is the other one rounded.
+    It comes from the residual differences between logs and their rounded copies.
     """
     given = {name: getattr(flight, name) for name in ("rotor_speed", "rotor_command", "specific_force", "ang_vel")}
     flown = slice(None) if flight.on_ground is None else ~flight.on_ground
@@ -127,12 +128,11 @@ def square_of_slow_rounding(
 
 
 def rounded_anew(values: Array, rate: float, bandwidth: float, rows: slice | Flags) -> list[Array]:
-    """Return a signal, and it as ``LOGS`` logs with steps as large as those of a log would hold it, (T, K) each.
+    """Return a simulated signal, and ``LOGS`` roundings of it with the step sizes of the log, (T, K) each.
 
-    The signal moves in the band as the logged values (T, K) do. Above it is noise, as much as they have beyond that of
-    rounding, a twelfth of a squared step: what scatters over several steps is rounded to another one each time. The steps are
-    those between the values that the log has of a column in ``rows``, and the noise is that in them; each of the other logs has
-    its values elsewhere between them, for in its own the signal stays on one.
+    In the band the signal follows the logged values (T, K). Above it, white noise has their variance there minus that of
+    rounding, step² / 12. The step sizes are the differences between the distinct logged values of a column in ``rows``.
+    Each rounding has a random phase, since at the log's own phase the signal would stay on one value.
     """
     slow, random = lowpass(values, rate, bandwidth), np.random.default_rng(0)
     logs = np.empty((1 + LOGS, *values.shape))
@@ -151,9 +151,9 @@ def rounded_anew(values: Array, rate: float, bandwidth: float, rows: slice | Fla
 def wide_predictor(
     robot: RobotCfg, flights: Sequence[Flight], channels: Sequence[Channel], rotors: Sequence[RotorEstimate | None]
 ) -> Predictor:
-    """Return what predicts every row of flights of one rate up to frequencies above the band of a comparison.
+    """Return a predictor of every row of flights with one rate, with a bandwidth above the comparison band.
 
-    ``rotors`` are the rotor speeds of each from which it is predicted.
+    ``rotors``: the rotor speeds of each flight that the prediction uses.
     """
     return Predictor(
         robot,
@@ -167,13 +167,13 @@ def wide_predictor(
 
 
 def floor_of_columns(values: Array, rate: float, bandwidth: float, readings: Sequence[bool]) -> Array | None:
-    """Return how large (rms) the noise of columns is below a bandwidth [Hz], (K,); None where the log is too slow to tell.
+    """Return the RMS noise of columns below a bandwidth [Hz], (K,); None if the log is too slow.
 
     Args:
-        values: Every row, below ``WIDE_BAND`` of the rate, (T, K).
+        values: Values in every row, low-passed at ``WIDE_BAND`` of the rate, (T, K).
         rate: Rows per second.
-        bandwidth: Of the comparison [Hz].
-        readings: Whether each is what a sensor reads itself, whose noise does not grow with frequency.
+        bandwidth: Bandwidth of the comparison [Hz].
+        readings: Whether each column is a direct sensor reading, whose noise does not grow with frequency.
     """
     wide, length = WIDE_BAND * rate, min(values.shape[0], round(SEGMENT_S * rate))
     if length < 2:
@@ -201,12 +201,12 @@ def floor_of_columns(values: Array, rate: float, bandwidth: float, readings: Seq
 
 
 def is_reading(channel: Channel, flight: Flight) -> bool:
-    """Return whether a sensor reads what a channel compares, and not its integral."""
+    """Return whether a channel is a direct sensor reading rather than a derivative."""
     return channel.kind == "rotor_speed" or (channel.kind == "specific_force" and flight.accelerometer)
 
 
 def longest_flight(flight: Flight, time: Array, bandwidth: float) -> slice:
-    """Return the rows at these times [s] of the longest span between touches of the ground; all if the vehicle never stands."""
+    """Return the rows at these times [s] of the longest airborne span; all rows if there is no ground contact."""
     if flight.on_ground is None:
         return slice(None)
     near = 2 * round(flight.rate / bandwidth) + 1
@@ -219,7 +219,7 @@ def longest_flight(flight: Flight, time: Array, bandwidth: float) -> slice:
 
 
 def _unfiltered(frequency: Array, density: Array) -> int:
-    """Return how many lines of a spectrum lie below where it has fallen, at least ``FEWEST_LINES``."""
+    """Return the number of spectral lines below the sensor's low-pass, at least ``FEWEST_LINES``."""
     band = np.floor(np.log(frequency / frequency[0]) / np.log(BAND_RATIO)).astype(int)
     mean = np.bincount(band, weights=density) / np.maximum(np.bincount(band), 1)
     fallen = np.flatnonzero((mean < FALLEN * mean[0]) & (np.bincount(band) > 0))
@@ -227,7 +227,7 @@ def _unfiltered(frequency: Array, density: Array) -> int:
 
 
 def _level_and_growth(density: Array, square: Array) -> tuple[float, float]:
-    """Return a and b >= 0 of ``a + b (2 pi f)²``, fitted with the relative scatter that spectral lines have."""
+    """Return a, b >= 0 of ``a + b (2 pi f)²``, by least squares with errors proportional to the density."""
     weight = 1.0 / np.maximum(density, 1e-300)
     for _ in range(5):
         columns = np.stack((np.ones_like(square), square), axis=1) * weight[:, None]

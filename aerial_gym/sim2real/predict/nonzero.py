@@ -1,4 +1,4 @@
-"""Which numbers of a table are not zero anywhere along some axes."""
+"""Fast test for nonzero numbers in a table."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,6 +7,6 @@ from aerial_gym.sim2real.arrays import Flags
 
 
 def not_zero(table: NDArray[np.floating], axis: int | tuple[int, ...]) -> Flags:
-    """Return ``(table != 0).any(axis)``, of numbers of either sign and what is no number, by their bits: much faster."""
+    """Return ``(table != 0).any(axis)``, NaN included, by a much faster test of the bits."""
     bits = np.bitwise_or.reduce(table.view(f"u{table.itemsize}"), axis=axis)
-    return bits << 1 != 0  # without the sign of a zero
+    return bits << 1 != 0  # without the sign bit

@@ -1,10 +1,11 @@
-"""What a model predicts for every row of a flight, beside what was measured, both in the same band.
+"""One-step predictions of a model for every row of a flight, and the measured channels in the same band.
 
-Each row is one environment of the simulator: the specific force and angular acceleration of a measured state come from
-``physics.accelerations``, the rotor speeds from the commands (``RotorReplay``). One thing is measured where the
-simulator would predict it: the angular acceleration in the lever arm of the accelerometer.
-Two kinds of channel hold without any dynamics, and so show errors of the inertial sensors alone: the specific force and the
-angular velocity that velocity and attitude imply by kinematics, against what the sensors read.
+Each row is one environment of the simulator. ``physics.accelerations`` predicts specific force and angular acceleration
+from the measured state, and ``RotorReplay`` the rotor speeds from the commands. The accelerometer's lever arm uses the
+measured angular acceleration, not the predicted one.
+
+Two kinds of channel need no dynamics, and show errors of the inertial sensors alone. They compare sensor readings with the
+specific force and angular velocity that velocity and attitude imply.
 Channels: specific force x, y, z; angular acceleration x, y, z; speed of each rotor; kinematic force x, y, z; kinematic
 rate x, y, z. Letters: E rows, C channels, R rotors.
 """
@@ -32,15 +33,14 @@ from aerial_gym.sim2real.predict.rows.together import Columns, Together
 from aerial_gym.sim2real.predict.tolerances import Tolerances, deviated, sensed
 
 KEPT_BYTES = 6e7
-"""Predictions are kept as long as they would take no more [bytes] if they had nothing in common: a fit begins where a first
-look at the same effect has been, and both begin at the present model."""
+"""Memory for stored predictions [bytes], counted as if they shared nothing; fits often return to the same model."""
 
 MOST_TOLD = 512
-"""Models of which is kept what tells their predictions apart."""
+"""Number of models whose prediction keys are stored."""
 
 
 class Predictor:
-    """Measured channels of some flights, and the predictions of any model for them."""
+    """Measured channels of flights, and predictions of any model for them."""
 
     def __init__(
         self,
@@ -53,16 +53,16 @@ class Predictor:
         every_row: bool = False,
         rotors: Sequence[RotorEstimate | None] | None = None,
     ) -> None:
-        """Take the flights.
+        """Load the flights.
 
         Args:
-            robot: As declared.
-            flights: With what was measured.
-            bandwidth: Of the comparison [Hz].
-            channels: What is compared.
-            tolerances: How well the robot is declared.
-            every_row: Whether all rows of the log are kept instead of thinning them to the band.
-            rotors: Rotor speeds from which is predicted; None: what is expected in this band.
+            robot: Declared robot.
+            flights: Measured flights.
+            bandwidth: Bandwidth of the comparison [Hz].
+            channels: Compared channels.
+            tolerances: Standard deviations of the declared values.
+            every_row: Whether to keep all rows of the log instead of thinning them to the band.
+            rotors: Rotor speeds that the prediction uses; None: their expectation.
         """
         self.robot, self.flights, self.bandwidth = robot, tuple(flights), bandwidth
         self.channels, self.tolerances = tuple(channels), tolerances
@@ -123,15 +123,15 @@ class Predictor:
         return [felt for part in self._parts for felt in part.felt(params)]
 
     def links(self, params: ModelParams) -> list[Link] | None:
-        """Return how the load of a model swings along each flight, begun as its log says; None for a model without one."""
+        """Return the load's link along each flight from its initial state; None for a model without a load."""
         if not any(isinstance(EFFECTS.get(name), LoadEffect) for name in params.effects):
             return None
         return [link for part in self._parts for link in part.links(params)]
 
     def _told_apart(self, params: ModelParams) -> tuple[object, ...]:
-        """Return what tells the predictions of a model from those of others: the vehicle that comes out, and all else in order.
+        """Return a hashable key of a model's predictions: the resulting vehicle and all other parameters in order.
 
-        An effect on the vehicle that changes nothing, or the same as a deviation or another effect, is no other model.
+        Vehicle effects with the same result as a deviation, another effect or none have the same key.
         """
         on_vehicle = {
             name: values for name, values in params.effects.items() if isinstance(EFFECTS.get(name), VehicleEffect)

@@ -1,7 +1,7 @@
-"""Open-loop rollouts: every window of the flights is one environment of the simulator, released at a measured state.
+"""Open-loop rollouts: each window of a flight is one environment of the simulator, started at a measured state.
 
-The rotors follow the logged commands through dead time, battery and lag of the model; without commands they turn as
-measured, in straight lines. A second variant is given the measured attitude, so that it shows forces alone.
+Commands drive the rotors through the model's dead time, battery and lag. Without commands the measured speeds are followed
+with linear interpolation. A second variant prescribes the measured attitude, which isolates force errors.
 Letters: W windows (environments), R rotors.
 """
 
@@ -41,22 +41,22 @@ from aerial_gym.sim2real.predict.tolerances import Tolerances, deviated
 from aerial_gym.sim2real.predict.windows import STEP_S, Windows, longest_windows, same_rate
 
 HORIZONS_S = (0.1, 0.5, 1.0, 2.0)
-"""When a rollout is compared with the flight [s]."""
+"""Times after the start at which rollout and flight are compared [s]."""
 
 MEMORY_STEP_S = 0.005
-"""Longest substep with effects that remember [s]: what they remember at its end holds throughout."""
+"""Longest substep with effects that have memory [s]; its final memory value acts throughout."""
 
 QUANTITIES: dict[str, str] = {"position": "m", "velocity": "m/s", "attitude": "rad"}
 """Compared quantities and their units."""
 
 
 FARTHEST = 1e6
-"""Most that a rollout is counted as off [m, m/s]; one that diverges until no number holds it is as far."""
+"""Largest counted error [m], [m/s], also for a divergent rollout."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RolloutErrors:
-    """Distance between rollout and flight at each horizon, ``FARTHEST`` at most: one row per window."""
+    """Errors of rollouts at each horizon, at most ``FARTHEST``, one row per window."""
 
     windows: Windows
     horizons: tuple[float, ...]
@@ -69,10 +69,10 @@ class RolloutErrors:
     """[m/s], (W, horizons)."""
 
     attitude: Array | None
-    """Angle of the turn between them [rad], (W, horizons); None where the attitude was given."""
+    """Rotation angle between rollout and flight [rad], (W, horizons); None with prescribed attitude."""
 
     driven_by: str
-    """commands or measured rotor speeds."""
+    """Input of the rotors: commands or measured rotor speeds."""
 
 
 @torch.inference_mode()
@@ -86,16 +86,16 @@ def roll_out_models(
     horizons: Sequence[float] = HORIZONS_S,
     tolerances: Tolerances | None = None,
 ) -> list[dict[str, RolloutErrors]]:
-    """Return the open-loop errors of models in some variants, flown side by side: a step takes as long for a few windows.
+    """Return the rollout errors of models in several variants, simulated as one batch where possible.
 
     Args:
         robot: Declared robot.
         flights: Flights with velocity.
-        models: Effects of each, and its deviations within the tolerances.
-        variants: Of each, whether attitude and angular velocity are set to the measured ones after every step.
-        links: How the load of each model swings along each flight; None: as if it hung still when the log begins.
-        horizons: When to compare [s]; those that no flight is long enough for are left out.
-        tolerances: Sizes of the deviations; None: the usual ones.
+        models: Effects and deviations of each model.
+        variants: Whether each variant prescribes the measured attitude and angular velocity after every step.
+        links: State of each model's load along each flight; None: the load starts at rest with the log.
+        horizons: Times of comparison [s]; those longer than every flight are omitted.
+        tolerances: Standard deviations of the declared values; None: the default ones.
     """
     if len(models) > 1 and not _fit_together(models, flights):
         return [
@@ -149,9 +149,9 @@ def roll_out_models(
 
 
 def _fit_together(models: Sequence[ModelParams], flights: Sequence[Flight]) -> bool:
-    """Return whether models can be flown in one batch: what one lacks is neutral there, and none remembers or hangs a load.
+    """Return whether models can share one batch: no deviations, learned residuals, memory or loads, and measured rotors.
 
-    All from the same vehicle, and from measured rotor speeds.
+    In such a batch an effect that a model lacks has its neutral value.
     """
     effects = [EFFECTS.get(name) for one in models for name in one.effects if not acts_on_commands(name)]
     return (
@@ -162,7 +162,7 @@ def _fit_together(models: Sequence[ModelParams], flights: Sequence[Flight]) -> b
 
 
 def _effects_of(robot: RobotCfg, models: Sequence[ModelParams], model: Indices) -> list[EffectParams]:
-    """Return the effects of models with the parameters in each window, (W, P), neutral where its ``model`` (W,) has none."""
+    """Return the models' effects with parameters per window, (W, P); neutral where its ``model`` (W,) has none."""
     if len(models) == 1:
         return effects_at(models[0], model.size)
     found = list[EffectParams]()
@@ -183,7 +183,7 @@ def load_at(links: Sequence[Link], flights: Sequence[Flight], windows: Windows) 
 
 
 class Batch:
-    """Windows of flights with one rate, side by side."""
+    """Batch of windows of flights with one rate."""
 
     def __init__(
         self,
@@ -196,42 +196,42 @@ class Batch:
         load: Array | None = None,
         settled: float = 1.0,
     ) -> None:
-        """Take the windows.
+        """Prepare the windows.
 
         Args:
-            vehicle: Of the model, one environment.
-            effects: With their parameters in each window, (W, P).
-            flights: With the commands that arrive.
-            flight: Flight of each window, (W,).
-            row: Where it starts, (W,).
-            load: Direction and rate of the link of the load there, (W, 6); None: as if it hung still when the log begins.
-            settled: How far soft arms have come to rest when a log begins in the air; 1: all the way.
+            vehicle: Vehicle of the model, one environment.
+            effects: Effects with parameters per window, (W, P).
+            flights: Flights with commands as they arrive at the rotors.
+            flight: Flight index of each window, (W,).
+            row: First row of each window, (W,).
+            load: Initial direction and rate of the load's link, (W, 6); None: the load starts at rest with the log.
+            settled: Initial angle of soft arms as a share of their rest angle, if a log begins in the air.
         """
         self._flights, self._flight, self._row, self._load, self._settled = flights, flight, row, load, settled
         self._tables: dict[str, _Table] = {}
         self._along_flights: dict[tuple[str, int], Array] = {}
-        self._led_along: list[Array | None] | None = None  # rotor speeds along all flights, from the commands
+        self._led_along: list[Array | None] | None = None  # rotor speeds from commands along all flights
         self._rate, self._commanded = flights[flight[0]].rate, is_commanded(flights)
         self._stride = max(1, int(STEP_S * self._rate + 1e-9))
         self._rotors = vehicle.num_rotors
         effects = [one for one in effects if self._commanded or one[0].acts_on != "actuation"]
         scene = heights([flights[index] for index in flight], [1] * row.size)
         model = build_model(expand_rows(vehicle, row.size), effects, **scene)
-        flown = replace(model, effects=model.effects.exclude(DelayEffect, CommandEffect))  # they have acted
+        flown = replace(model, effects=model.effects.exclude(DelayEffect, CommandEffect))  # in the commands already
         self._model = with_known_wind(flown, flights, flight)
         longest = MEMORY_STEP_S if flown.effects.remembering else STEP_S
         self._substeps = max(1, round(self._stride / (longest * self._rate)))
 
     def steps(self, seconds: float) -> int:
-        """Return how many steps a span is."""
+        """Return the number of steps in a time span [s]."""
         return round(seconds * self._rate / self._stride)
 
     def fly(
         self, state: BodyState, at: Collection[int], *, given_attitude: Flags | None = None
     ) -> Iterator[tuple[int, BodyState, BodyState]]:
-        """Yield the step, the state, and the state that was measured, at some numbers of steps after the start.
+        """Yield step number, simulated state and measured state after the step numbers ``at``.
 
-        Windows with a given attitude, (W,), have the measured attitude and angular velocity after every step.
+        ``given_attitude`` (W,): windows with measured attitude and angular velocity after every step.
         """
         given = (
             torch.from_numpy(given_attitude)[:, None] if given_attitude is not None and given_attitude.any() else None
@@ -253,7 +253,7 @@ class Batch:
                     state = replace(state, attitude=attitude, ang_vel=torch.where(given, truth.ang_vel, state.ang_vel))
 
     def measured(self, step: int) -> BodyState:
-        """Return the state that was measured ``step`` steps after each start."""
+        """Return the measured state ``step`` steps after each start."""
         rows = self._row + step * self._stride
         return BodyState(
             position=self._gather("position", rows),
@@ -264,7 +264,7 @@ class Batch:
         )
 
     def _speed_at(self, rows: Indices) -> Tensor:
-        """Return true rotor speeds at a row of each window's flight [rad/s], (W, R): as measured, else as commands lead to."""
+        """Return the true rotor speeds at a row of each window's flight [rad/s], (W, R): measured, else from commands."""
         if any(self._flights[index].rotor_speed is not None for index in np.unique(self._flight)):
             return self._true_speed(self._gather("rotor_speed", rows))
         speed = torch.empty(rows.size, self._rotors, dtype=torch.float64)
@@ -275,7 +275,7 @@ class Batch:
         return speed
 
     def _memory(self, dt: float) -> Memory | None:
-        """Return what effects remember at the starts."""
+        """Return the initial memory of effects; None if no effect has any."""
         if not self._model.effects.remembering:
             return None
         memory = place_memory(self._model, make_memory(self._model, dt), self._remembered())
@@ -292,7 +292,7 @@ class Batch:
         return place_memory(self._model, memory, {name: load})
 
     def _remembered(self) -> dict[str, Tensor]:
-        """Return what effects on rotors and body remember at the starts, (W, M), by effect, as it came about until then."""
+        """Return the initial memory of effects on rotors and body, (W, M), by effect, replayed from the log's start."""
         found: dict[str, Tensor] = {}
         for effect, params in remembering(self._model.effects):
             numbers = torch.empty(self._row.size, len(effect.fresh_memory(self._rotors)), dtype=torch.float64)
@@ -305,7 +305,7 @@ class Batch:
         return found
 
     def _speed_along(self, index: int) -> Tensor:
-        """Return true rotor speeds along a flight [rad/s], (T, R): as measured, else as commands lead to."""
+        """Return the true rotor speeds along a flight [rad/s], (T, R): measured, else from commands."""
         speed = self._flights[index].rotor_speed
         if speed is None:
             if self._led_along is None:
@@ -320,7 +320,7 @@ class Batch:
         return true
 
     def _led(self, step: int, state: BodyState) -> Tensor | Ramp:
-        """Return what the rotors follow in a step: the mean command, or a straight line to the speeds measured at its end."""
+        """Return the rotor input of a step: the mean command, or a linear ramp to the measured speed at its end."""
         first = self._row + step * self._stride
         if self._commanded:
             return self._gather("rotor_command", first[:, None] + np.arange(self._stride)).mean(dim=1)
@@ -328,19 +328,19 @@ class Batch:
         return Ramp(rate=(end - state.rotor_speed) * (self._rate / self._stride))
 
     def _true_speed(self, measured: Tensor) -> Tensor:
-        """Return measured rotor speeds without the errors of their sensors."""
+        """Return measured rotor speeds corrected for sensor errors."""
         for effect, params in reversed(self._model.effects[RotorSensorEffect]):
             measured = effect.true_speed(measured, params)
         return measured
 
     def _gather(self, name: str, rows: Indices) -> Tensor:
-        """Return a quantity at rows (W,) or (W, any) of each window's flight, in one dimension more."""
+        """Return a quantity at rows (W,) or (W, any) of each window's flight, with its own last dimension."""
         if name not in self._tables:
             self._tables[name] = _Table([self._along_flight(name, flight) for flight in self._flights], self._flight)
         return self._tables[name].at(rows)
 
     def _along_flight(self, name: str, flight: Flight) -> Array:
-        """Return a quantity along a flight, (T, any), or one row of zeros; variants of a flight share it."""
+        """Return a quantity along a flight, (T, any), or one row of zeros; cached by its array."""
         values = getattr(flight, name)
         key = name, id(values)
         if key not in self._along_flights:
@@ -355,10 +355,10 @@ class Batch:
 
 
 class _Table:
-    """A quantity along flights, for windows that look it up."""
+    """Lookup table of a quantity along flights."""
 
     def __init__(self, along: Sequence[Array], flight: Indices) -> None:
-        """Take it along each flight, (T, any), and the flight of each window, (W,); what flights share stands once."""
+        """Store the quantity of each flight, (T, any), and each window's flight, (W,); shared arrays are stored once."""
         first, parts, length = dict[int, int](), list[Array](), 0
         for index in np.unique(flight):
             if id(along[index]) not in first:
@@ -370,13 +370,13 @@ class _Table:
         self._rows = torch.from_numpy(np.concatenate(parts))
 
     def at(self, rows: Indices) -> Tensor:
-        """Return it at rows of each window's flight, (W,) or (W, any); after its end the last one."""
+        """Return the quantity at rows of each window's flight, (W,) or (W, any); beyond its end the last value."""
         shape = (-1, *[1] * (rows.ndim - 1))
         return self._rows[torch.from_numpy(np.minimum(self._first.reshape(shape) + rows, self._last.reshape(shape)))]
 
 
 def mean_about(values: Array, rows: int) -> Array:
-    """Return the mean over so many rows about each row of a log, (T, any), the outermost halved if their number is even."""
+    """Return the centred moving mean over ``rows`` rows, (T, any); for an even number the end weights are halved."""
     weights = np.ones(rows + 1 - rows % 2)
     weights[[0, -1]] = 1.0 if rows % 2 else 0.5
     return convolve1d(values, weights / rows, axis=0, mode="nearest")

@@ -1,6 +1,6 @@
-"""The scene of a flight: ground, ceiling, another vehicle.
+"""The surroundings of a flight: ground, ceiling and another vehicle.
 
-An effect that needs one of them can be tested only where every flight has it. Letters: E rows.
+An effect that needs one of them is testable only if every flight has it. Letters: E rows.
 """
 
 from collections.abc import Sequence
@@ -25,26 +25,26 @@ NEEDED = {
     "other_position": "the position of the other vehicle (columns other_p_x, other_p_y, other_p_z, or its own log)",
     "battery": "battery voltage; log it in volts (column vbat)",
 }
-"""Quantities that an effect may need of a flight, with the columns that give them."""
+"""Quantities that an effect may need, with the columns that provide them."""
 
 
 class Heights(TypedDict):
-    """As ``build_model`` takes them [m], world, (E, 1)."""
+    """Heights for ``build_model`` [m], world, (E, 1)."""
 
     ground_height: Tensor
     ceiling_height: Tensor | None
 
 
 def lacks_of_scene(name: str, flights: Sequence[Flight]) -> Finding | None:
-    """Return the part of its scene that the flights lack for an effect; None if they have all."""
+    """Return a finding on surroundings that an effect needs and flights lack; None if all are there."""
     return _without(name, EFFECTS.get(name).needs, flights)
 
 
 def lacks_of_air(name: str, flights: Sequence[Flight]) -> Finding | None:
-    """Return the quantity that the flights lack to show an effect of the air; None if they have it, or for other effects.
+    """Return a finding if an aerodynamic effect lacks the velocity for its identification; None otherwise.
 
-    A declared effect acts all the same, on the speed of the hubs as the vehicle turns. To look for one by that alone would
-    call air what is anything else.
+    A declared effect still acts, through the hub velocities of a rotating vehicle. Identification from these alone would
+    attribute other errors to the air.
     """
     effect = EFFECTS.get(name)
     airborne = isinstance(effect, WindEffect) or "velocity" in effect.follows
@@ -60,7 +60,7 @@ def _without(name: str, needs: Sequence[str], flights: Sequence[Flight]) -> Find
 
 
 def check_scene(names: Sequence[str], flights: Sequence[Flight]) -> None:
-    """Raise ``DataError`` if the flights lack something that a declared effect needs."""
+    """Raise ``DataError`` if the flights lack a quantity that a declared effect needs."""
     for name in names:
         if reason := lacks_of_scene(name, flights):
             where, need = reason.values["flights"], NEEDED[str(reason.values["need"])]
@@ -68,7 +68,7 @@ def check_scene(names: Sequence[str], flights: Sequence[Flight]) -> None:
 
 
 def heights(flights: Sequence[Flight], rows: Sequence[int]) -> Heights:
-    """Return the heights of ground and ceiling [m], (E, 1), for so many rows of each flight; None: no ceiling known."""
+    """Return the heights of ground and ceiling [m], (E, 1), for the numbers of rows per flight; None: no ceiling known."""
 
     def column(values: list[float]) -> Tensor:
         return torch.from_numpy(np.repeat(values, rows)).unsqueeze(-1)
@@ -82,7 +82,7 @@ def heights(flights: Sequence[Flight], rows: Sequence[int]) -> Heights:
 
 
 def other_along(flight: Flight) -> Array:
-    """Return the place of the other vehicle along a flight [m], world, (T, 3); far below where it is not known: no wake."""
+    """Return the other vehicle's position along a flight [m], world, (T, 3); far below where unknown, to cast no wake."""
     below = np.array([0.0, 0.0, -inf])
     if flight.other_position is None:
         return np.tile(below, (flight.num_rows, 1))

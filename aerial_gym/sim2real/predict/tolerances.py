@@ -1,9 +1,9 @@
-"""How well a carefully declared vehicle is known: errors that are no effect, and what they do to a prediction.
+"""Tolerances of a carefully declared vehicle, and the prediction errors that they cause.
 
-A number of a robot file was weighed or measured once, with the standard deviations below. What they can explain is not
-called an effect, and the intervals of the effects carry them. Of the same kind is what noise leaves unsure of how much the
-rotors moved (``rotor_estimate``), and how much of the turning is noise that the autopilot answers (``answered_noise``): their
-sizes come from each log. Letters: E environments, R rotors, N tolerances.
+Each number of a robot file was measured with the standard deviations below. Errors that these can explain are not called
+effects, and the intervals of effects include them. Two tolerances come from each log: the uncertain rotor motion
+(``rotor_estimate``) and the noise that feedback correlates with torque (``answered_noise``). Letters: E environments,
+R rotors, N tolerances.
 """
 
 from collections.abc import Collection, Iterable
@@ -30,85 +30,85 @@ LAYOUT: dict[str, str | tuple[str, ...]] = {
     **dict.fromkeys(("acc_scale", "imu_place"), "xyz"),
     **dict.fromkeys(("time_constant", "nominal_voltage", "command_hold", "joint_rest"), ("",)),
 }
-"""Tolerances in the order of their deviations, and of what: of the whole, of each rotor, about or along each axis."""
+"""Names of the tolerances in order, with their parts: one for all, one per rotor, or one per axis or sensor."""
 
 OF_LOGS = ("sensor_delay", "acc_scale", "imu_place")
-"""What a logger may be off by, and no vehicle: flights tell most of it by kinematics, so that nothing hides behind it."""
+"""Tolerances of the logger, not the vehicle; kinematics determine most of them, so they hide no effect."""
 
 STRAINED = 3.0
-"""Standard deviations beyond which a declaration was not careful, or a tolerance is too small."""
+"""Standard deviations beyond which a declaration is implausible, or its tolerance too small."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerances:
-    """Standard deviations of what is declared, > 0."""
+    """Standard deviations of declared values, > 0."""
 
     mass: float = 0.003
-    """Relative: a kitchen scale on a vehicle with its battery."""
+    """Relative; by a kitchen scale, with battery."""
 
     thrust: float = 0.004
-    """Relative, each rotor by itself: thrust and drag torque of propellers of one type."""
+    """Relative, independent per rotor; thrust and drag torque of propellers of one type."""
 
     inertia: float = 0.02
-    """Relative, each axis by itself: swinging or computing from parts."""
+    """Relative, independent per axis; by a swing test or computed from parts."""
 
     time_constant: float = 0.03
-    """Relative, all rotors together: a step on a bench."""
+    """Relative, common to all rotors; by a step on a test stand."""
 
     com: float = 0.0003
-    """Each axis [m]: balancing."""
+    """Per axis [m]; by balancing."""
 
     acc_bias: float = 0.02
-    """Accelerometer, each axis [m/s²]."""
+    """Accelerometer bias per axis [m/s²]."""
 
     gyro_bias: float = 0.002
-    """Each axis [rad/s]."""
+    """Gyro bias per axis [rad/s]."""
 
     acc_of_flight: float = 0.1
-    """Accelerometer, each axis, anew in each flight, at most [m/s²]: it warms up by some 10 mg."""
+    """Largest accelerometer bias of a single flight, per axis [m/s²]; warming up changes it by some 10 mg."""
 
     attitude: float = 0.01
-    """Turn of the logged attitude against the body, about each axis [rad]: markers are aligned by eye, autopilots by a level.
+    """Misalignment of the logged attitude about each axis [rad]: markers are aligned by eye, autopilots by a level.
 
-    It turns what attitude and velocity say of forces and rates, the airspeed, and what hangs on the vehicle.
+    It rotates implied forces and rates, the airspeed and a suspended load.
     """
 
     sensor_delay: float = LATE_S
-    """By how much what is logged is late, rotor speeds, accelerometer, gyro, attitude and velocity each by itself [s].
+    """Delay of rotor speeds, accelerometer, gyro, attitude and velocity, each independent [s].
 
-    Filters, telemetry and motion capture take some milliseconds, and no logger writes them down. Commands are the clock.
+    Filters, telemetry and motion capture take milliseconds that no log states. Commands are the reference.
     """
 
     acc_scale: float = 0.005
-    """Relative, each axis of the accelerometer by itself: what a calibration on six sides, or one at rest, leaves."""
+    """Relative accelerometer scale per axis, after a calibration on six sides or at rest."""
 
     imu_place: float = 0.005
-    """Of the accelerometer from the origin of the body, along each axis [m]."""
+    """Accelerometer position relative to the body origin, per axis [m]."""
 
     nominal_voltage: float = 0.003
-    """Relative: reading a voltmeter where rotors reach the commanded speeds."""
+    """Relative; battery voltage at which rotors reach the commanded speed."""
 
     command_hold: float = 0.3
-    """How far into the step between two rows the effective command may lie: autopilots run faster than logs are written."""
+    """Shift of the effective command towards the next row, in rows: autopilots are faster than logs."""
 
     joint_rest: float = 0.3
-    """How far soft arms are from rest when a log begins, as a share of the angle at which they rest in hover."""
+    """Initial deviation of soft arms from rest, as a share of their hover angle."""
 
     def __post_init__(self) -> None:
         require_positive(self, *(field.name for field in fields(self)))
 
     def names(self, num_rotors: int) -> tuple[str, ...]:
-        """Return the names of the N tolerances, in the order of ``LAYOUT``."""
+        """Return the names of the N tolerances in the order of ``LAYOUT``."""
         parts = [(name, part) for name, of in LAYOUT.items() for part in _parts_of(of, num_rotors)]
         return tuple(f"{name}_{part}" if part else name for name, part in parts)
 
     def strained(self, deviation: Array, *, absent: Collection[str] = (), farthest: float = np.inf) -> list[Finding]:
-        """Return the deviations, of (N,) in standard deviations, that a careful declaration would not have.
+        """Return findings on the implausible deviations among (N,), in standard deviations.
 
         Args:
-            deviation: In standard deviations.
-            absent: Tolerances of what the vehicle or its logs do not have.
-            farthest: Where deviations are cut off: what lies there was not measured.
+            deviation: Fitted deviations in standard deviations.
+            absent: Tolerances of parts that the vehicle or its logs lack.
+            farthest: Limit of the fit; a deviation there was cut off, not measured.
         """
         names = self.names((deviation.size - len(self.names(0))) // 2)
         pairs = [
@@ -123,13 +123,13 @@ class Tolerances:
 
 
 def deviate(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehicle:
-    """Return the vehicle that is off by ``deviation`` standard deviations in each tolerance.
+    """Return the vehicle with ``deviation`` standard deviations in each tolerance.
 
-    The inertia becomes ``S J S`` with the diagonal ``S = sqrt(1 + d)``, which stays positive definite.
+    The inertia becomes ``S J S`` with the diagonal ``S = sqrt(1 + d)``, and stays positive definite.
 
     Args:
-        vehicle: As declared, one environment.
-        tolerances: Their sizes.
+        vehicle: Declared vehicle, one environment.
+        tolerances: Standard deviations.
         deviation: In standard deviations, (N,), in the order of ``Tolerances.names``.
     """
     off = split(deviation)
@@ -151,20 +151,20 @@ def deviate(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehi
 
 @dataclass(frozen=True, kw_only=True)
 class Deviated:
-    """What is flown where deviations within the tolerances are given."""
+    """Vehicle and replay settings with deviations within the tolerances."""
 
     vehicle: Vehicle
     """One environment."""
 
     command_shift: float
-    """How far the effective command lies towards the next row, in steps."""
+    """Shift of the effective command towards the next row, in rows."""
 
     joint_start: float
-    """Angle of soft arms when a log begins, as a share of the one at which they would rest."""
+    """Initial angle of soft arms as a share of their rest angle."""
 
 
 def deviated(declared: Vehicle, tolerances: Tolerances, deviation: Array | None) -> Deviated:
-    """Return what is flown with deviations (N,), in standard deviations; None: exactly what is declared."""
+    """Return vehicle and replay settings for deviations (N,) in standard deviations; None: exactly as declared."""
     if deviation is None:
         return Deviated(vehicle=declared, command_shift=0.0, joint_start=1.0)
     off = torch.from_numpy(deviation)
@@ -177,7 +177,7 @@ def deviated(declared: Vehicle, tolerances: Tolerances, deviation: Array | None)
 
 @dataclass(frozen=True, kw_only=True)
 class Sensed:
-    """What deviations do to what is logged of a vehicle."""
+    """Sensor errors of a vehicle's log for given deviations."""
 
     acc_bias: Tensor
     """[m/s²], body, (3,)."""
@@ -189,34 +189,34 @@ class Sensed:
     """Relative, (3,)."""
 
     imu_place: Tensor
-    """Of the accelerometer from the origin of the body [m], body, (3,)."""
+    """Accelerometer position relative to the body origin [m], body, (3,)."""
 
     rotor_motion: Tensor
-    """How much more the rotors moved in each of their modes than is expected, in standard deviations of that, (R,)."""
+    """Deviation of the motion in each rotor mode, in its standard deviations, (R,)."""
 
     answered_noise: Tensor
-    """How much of the turning about each axis is noise in step with the torque, in standard deviations, (3,)."""
+    """Deviation of the noise correlated with torque about each axis, in its standard deviations, (3,)."""
 
     attitude: Tensor
     """Roll, pitch and yaw from the axes of the logged attitude to those of the body [rad], (3,)."""
 
     delays: Tensor
-    """Of rotor speeds, accelerometer, gyro, attitude and velocity [s], (5,)."""
+    """Delays of rotor speeds, accelerometer, gyro, attitude and velocity [s], (5,)."""
 
     @property
     def turn(self) -> Tensor:
-        """Rotation from the axes of the logged attitude to those of the body, (4,)."""
+        """Quaternion from the axes of the logged attitude to those of the body, (4,)."""
         return quat_from_euler(self.attitude)
 
     @property
     def key(self) -> bytes:
-        """What tells it from others."""
+        """Hashable key; empty without any error."""
         numbers = torch.cat([getattr(self, field.name) for field in fields(self)])
         return numbers.numpy().tobytes() if numbers.any() else b""
 
 
 def sensed(tolerances: Tolerances, deviation: Tensor) -> Sensed:
-    """Return what deviations (N,), in standard deviations, do to what is logged."""
+    """Return the sensor errors of deviations (N,) in standard deviations."""
     off = split(deviation)
     return Sensed(
         acc_bias=tolerances.acc_bias * off["acc_bias"],
@@ -231,12 +231,12 @@ def sensed(tolerances: Tolerances, deviation: Tensor) -> Sensed:
 
 
 def command_shift(tolerances: Tolerances, deviation: Tensor) -> float:
-    """Return how far the effective command lies towards the next row, in steps; 0: held from its row on."""
+    """Return the shift of the effective command towards the next row, in rows; 0: held from its own row."""
     return float(tolerances.command_hold * split(deviation)["command_hold"])
 
 
 def joint_start(tolerances: Tolerances, deviation: Tensor) -> float:
-    """Return the angle of soft arms when a log begins as a share of the one at which they would rest."""
+    """Return the initial angle of soft arms as a share of their rest angle."""
     return float(1.0 + tolerances.joint_rest * split(deviation)["joint_rest"])
 
 
@@ -247,17 +247,17 @@ def split(deviation: Tensor) -> dict[str, Tensor]:
 
 @cache
 def _sizes(number: int) -> list[int]:
-    """Return how many of a number N of tolerances each name of ``LAYOUT`` has."""
+    """Return the number of parts of each name of ``LAYOUT``, for N tolerances in total."""
     none = {name: len(_parts_of(of, 0)) for name, of in LAYOUT.items()}
     rotors = (number - sum(none.values())) // sum(of == "rotors" for of in LAYOUT.values())
     return [len(_parts_of(of, rotors)) for of in LAYOUT.values()]
 
 
 def of_logs(num_rotors: int) -> Flags:
-    """Return which of the N tolerances belong to logs alone, (N,)."""
+    """Return the flags of the N tolerances that belong to logs alone, (N,)."""
     return np.array([name in OF_LOGS for name, of in LAYOUT.items() for _ in _parts_of(of, num_rotors)])
 
 
 def _parts_of(of: Iterable[str], num_rotors: int) -> list[str]:
-    """Return the names of what a tolerance is of."""
+    """Return the names of a tolerance's parts."""
     return [str(number + 1) for number in range(num_rotors)] if of == "rotors" else list(of)

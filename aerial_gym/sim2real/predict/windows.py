@@ -1,4 +1,4 @@
-"""Windows of flights, each the start of a rollout.
+"""Windows of flights, each with the start of one rollout.
 
 Letters: W windows.
 """
@@ -15,25 +15,25 @@ from aerial_gym.sim2real.arrays import Indices
 from aerial_gym.sim2real.logs.flights import Flight
 
 STEP_S = 0.01
-"""Longest step of a rollout [s], over which the rotors of a log are averaged; Runge-Kutta of order 4 turns by 10 rad/s with an
-error of 1e-7 rad in it."""
+"""Longest rollout step [s], over which logged rotor speeds are averaged; at 10 rad/s, Runge-Kutta of order 4 errs by
+1e-7 rad per step."""
 
 WINDOW_EVERY_S = 0.5
-"""Between the starts of two windows [s]."""
+"""Time between the starts of consecutive windows [s]."""
 
 FIRST_WINDOW_S = max(e.longest for e in map(EFFECTS.get, EFFECTS) if isinstance(e, DelayEffect))
-"""Start of the first window [s]: no command is longer on its way, so that all that arrive are in the log."""
+"""Start of the first window [s], the longest dead time, so that all arriving commands are in the log."""
 
 MOST_WINDOWS = 600
-"""Windows are spread over all flights if there were more."""
+"""Most windows; with more the starts are spread over all flights."""
 
 CLUSTER_S = 4.0
-"""Windows that start within such a span of a flight count as one draw in the intervals [s]."""
+"""Span [s] whose windows count as one sample in confidence intervals."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Windows:
-    """Where rollouts start."""
+    """Starts of rollouts."""
 
     flight: Indices
     """Index of the flight, (W,)."""
@@ -42,15 +42,15 @@ class Windows:
     """Row of the log, (W,)."""
 
     cluster: Indices
-    """Windows of one cluster overlap or follow each other, (W,)."""
+    """Cluster of each window, whose members overlap or follow each other, (W,)."""
 
 
 def find_windows(
     flights: Sequence[Flight], horizon: float, *, every: float = WINDOW_EVERY_S, most: int = MOST_WINDOWS
 ) -> Windows:
-    """Return the starts of windows of ``horizon`` [s], in every flight that is long enough; one ``every`` so many seconds.
+    """Return windows of ``horizon`` [s] in every long enough flight, one ``every`` so many seconds.
 
-    No window holds a row in which the vehicle stands.
+    No window contains a row on the ground.
     """
     spans = [max(0.0, float(f.time[-1]) - horizon - STEP_S) for f in flights]
     every = max(every, sum(spans) / most)
@@ -71,7 +71,7 @@ def find_windows(
 
 
 def longest_windows(flights: Sequence[Flight], horizons: Sequence[float]) -> tuple[tuple[float, ...], Windows]:
-    """Return the horizons [s] that some flight is airborne long enough for, and the windows of the longest of them.
+    """Return the feasible horizons [s], for which some flight is airborne long enough, and the longest one's windows.
 
     Raises:
         DataError: If there is none.
@@ -84,6 +84,6 @@ def longest_windows(flights: Sequence[Flight], horizons: Sequence[float]) -> tup
 
 
 def same_rate(flights: Sequence[Flight], windows: Windows) -> list[Indices]:
-    """Return the windows whose flights have the same rate, for each rate."""
+    """Return the windows grouped by sample rate of their flights."""
     rate = np.array([flights[index].rate for index in windows.flight])
     return [np.flatnonzero(rate == one) for one in np.unique(rate)]

@@ -1,1 +1,1 @@
-"""What has a memory of its own, run along flights: rotors, loads, joints."""
+"""Replay of states with memory along flights: rotors, loads and effects."""

@@ -1,10 +1,10 @@
-"""How a load that hangs on the vehicle swings along flights: driven by the measured motion of the body origin.
+"""Replay of a suspended load along flights, driven by the measured motion of the body origin.
 
-The swing is integrated from the start of each flight, where logs do not tell it: two angles and two rates. They are those
-that leave the least of the specific force of the first 16 s unexplained, beside a weak prior that the link hangs still along
-the apparent gravity; without a measured specific force it does. They are found anew for each model, in flights that are left
-out as well: four numbers of each flight are given to every model with a load, as its beginning, not as a prediction.
-Letters: N steps, K steps from which the start is found, F flights.
+The swing is integrated from an unknown initial state of two angles and two rates. Gauss-Newton steps fit these to the
+unexplained specific force of the first 16 s, with a weak prior around a link at rest along the apparent gravity. Without
+a measured specific force the prior alone holds. The fit is repeated for each model, also in test flights: every model
+with a load receives these four numbers per flight as its initial state, not as a prediction.
+Letters: N steps, K steps of the initial fit, F flights.
 """
 
 from collections import OrderedDict
@@ -25,35 +25,34 @@ from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.replay.load_swing import swing
 
 STEP_S = 0.02
-"""Step of the integrator [s]; Runge-Kutta of order 4 follows a turn of 10 rad/s to 3e-6 of an angle each step."""
+"""Integration step [s]; Runge-Kutta of order 4 follows 10 rad/s with an error of 3e-6 of the angle per step."""
 
 SETTLED_S = 0.5
-"""The load hangs still along the mean apparent gravity of this span [s]."""
+"""Span [s] whose mean apparent gravity gives the link's rest direction."""
 
 BAND = 5.0
-"""The measured acceleration is taken below it [Hz]; links longer than 0.1 m swing below 2 Hz."""
+"""Bandwidth of the measured acceleration [Hz]; links longer than 0.1 m swing below 2 Hz."""
 
 FOUND_S = (2.0, 4.0, 8.0, 16.0, 16.0)
-"""Spans from which the start is found, one Gauss-Newton step each [s]: a long one tells more, but begun far off it misleads.
-
-Their number is always the same, so that predictions are smooth in the parameters."""
+"""Spans of the initial fit [s], one Gauss-Newton step each; long ones are precise but need a good start. The fixed number
+of steps keeps predictions smooth in the parameters."""
 
 FORCE_STD = 0.1
-"""Specific force that a step of these spans leaves unexplained [m/s²], where the prior of the start is weighed against it."""
+"""Standard deviation of the specific force residual [m/s²] in the initial fit."""
 
 START_STD = (0.3, 0.3, 1.0, 1.0)
-"""Prior of the start: angles [rad] and rates [rad/s] of a moderate swing of a link of about a metre."""
+"""Prior standard deviations of the initial angles [rad] and rates [rad/s], for a moderate swing of a link of a metre."""
 
 NUDGE = 1e-6
-"""Difference step of the start [rad], [rad/s]."""
+"""Finite-difference step of the initial state [rad], [rad/s]."""
 
 REMEMBERED = 8
-"""Results kept: those of a model and of some that differ from it."""
+"""Number of stored results."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Link:
-    """The link of a load along one flight."""
+    """State of a load's link along one flight."""
 
     time: Array
     """[s], (T,)."""
@@ -62,7 +61,7 @@ class Link:
     """Direction n and rate n' [1/s], world, (T, 6)."""
 
     def at(self, times: Array) -> Array:
-        """Return direction and rate at other times, (W, 6), in straight lines between the rows, with ``|n| = 1``."""
+        """Return direction and rate at other times, (W, 6), by linear interpolation with ``|n| = 1``."""
         load = np.stack([np.interp(times, self.time, column) for column in self.load.T], axis=1)
         direction = load[:, :3] / np.linalg.norm(load[:, :3], axis=1, keepdims=True)
         along = (load[:, 3:] * direction).sum(axis=1, keepdims=True)
@@ -70,10 +69,10 @@ class Link:
 
 
 class LoadReplay:
-    """Directions and rates of the link in all flights, for any parameters of the load."""
+    """Replay of the link in all flights for any load parameters."""
 
     def __init__(self, flights: Sequence[Flight], times: Sequence[Array]) -> None:
-        """Take the flights, and at which times of each [s] the link is asked for, (rows,)."""
+        """Load the flights and the times [s] of the requested link states, (rows,) each."""
         self._times = tuple(times)
         self._spans = [float(flight.time[-1]) for flight in flights]
         self._known = all(flight.lin_vel is not None for flight in flights)
@@ -93,12 +92,12 @@ class LoadReplay:
             self._inside = torch.from_numpy((grid <= np.array(self._spans)).astype(float))
 
     def loads(self, model: Model, missed: Sequence[Array] | None = None) -> Tensor:
-        """Return direction n and rate n' of the link, world, (E, 6), in the rows of each flight, one after the other.
+        """Return direction n and rate n' of the link, world, (E, 6), in the rows of all flights in sequence.
 
         Args:
-            model: With the load, which has the same parameters in every row, of which the first is taken.
-            missed: Specific force that the model without the load leaves unexplained there [m/s²], world, (rows, 3) of each
-                flight. None: the link hangs still at the start.
+            model: Model with a load, whose parameters are those of its first row.
+            missed: Specific force residual without the load [m/s²], world, (rows, 3) per flight. None: the link starts at
+                rest.
         """
         effect, params = model.effects[LoadEffect][0]
         felt, numbers = (None, None) if missed is None else self._at_steps(missed)
@@ -106,7 +105,7 @@ class LoadReplay:
         if key not in self._results:
             start = self._start if felt is None else self._find_start(model, felt)
             swings = swing(effect, params[0], start, self._acceleration, step=STEP_S, gravity=model.gravity)[0].numpy()
-            if not np.isfinite(swings).all():  # no pendulum of these parameters; a fit steps back from them
+            if not np.isfinite(swings).all():  # invalid pendulum parameters, which a fit rejects
                 return torch.full((sum(map(len, self._times)), 6), torch.nan, dtype=torch.float64)
             self._results[key] = self._in_rows(swings)
             if len(self._results) > REMEMBERED:
@@ -130,16 +129,16 @@ class LoadReplay:
         return np.stack([np.interp(self._time, flight.time, column) for column in slow.T], axis=1)
 
     def _hanging(self, place: int, flight: Flight) -> Tensor:
-        """Return the still link along the apparent gravity at the start of a flight, (6,)."""
+        """Return the link at rest along the initial apparent gravity, (6,)."""
         rows = self._time <= min(SETTLED_S, flight.time[-1])
         apparent = -self._acceleration[torch.from_numpy(rows), place].mean(dim=0)
         apparent[2] -= STANDARD_GRAVITY
         return torch.cat((torch.nn.functional.normalize(apparent, dim=0), torch.zeros(3, dtype=apparent.dtype)))
 
     def _at_steps(self, values: Sequence[Array]) -> tuple[Tensor, bytes]:
-        """Return values in the rows of each flight (rows, 3) at the first steps, (K + 1, F, 3), and as bytes.
+        """Return values at the rows of each flight (rows, 3) interpolated to the first steps, (K + 1, F, 3), and their bytes.
 
-        After the end of a flight they are zero. Those of the very same rows as before are not worked out again.
+        Values beyond the end of a flight are 0. The last result is reused for the same input object.
         """
         if values is not self._missed:
             grid = self._time[::2][: max(self._num_found) + 1]
@@ -152,7 +151,7 @@ class LoadReplay:
         return self._felt
 
     def _find_start(self, model: Model, missed: Tensor) -> Tensor:
-        """Return the links at the start, (F, 6), whose swing pulls as ``missed`` (K + 1, F, 3) [m/s²] says."""
+        """Return the initial links, (F, 6), that best explain the residual ``missed`` (K + 1, F, 3) [m/s²]."""
         effect, params = model.effects[LoadEffect][0]
         num_flights, moved = len(self._spans), torch.zeros(5, len(self._spans), 4, dtype=torch.float64)
         moved[1:] += NUDGE * torch.eye(4, dtype=torch.float64).unsqueeze(1)
@@ -171,7 +170,7 @@ class LoadReplay:
         return self._started(moved[0])
 
     def _started(self, numbers: Tensor) -> Tensor:
-        """Return links (any, F, 6) that two angles and two rates (any, F, 4) move away from hanging still."""
+        """Return links (any, F, 6) displaced from rest by two angles and two rates (any, F, 4)."""
         first, second, hanging = self._axes.unbind(1)
         moved = hanging + numbers[..., :1] * first + numbers[..., 1:2] * second
         direction = torch.nn.functional.normalize(moved, dim=-1)

@@ -2,9 +2,9 @@
 # pyright: reportGeneralTypeIssues=false, reportAttributeAccessIssue=false, reportAssignmentType=false
 # pyright: reportInvalidTypeForm=false, reportReturnType=false
 # (Warp compiles the kernels from their source; Python's type rules do not describe them.)
-"""A load that swings below origins which move as given, in float64 on the CPU: steps one after another, origins side by side.
+"""Integrate suspended loads under moving origins, in float64 on the CPU, with one thread per origin.
 
-The equation of motion is that of the simulator. Letters: F origins, P parameters, N steps.
+The equation of motion is the simulator's. Letters: F origins, P parameters, N steps.
 """
 
 from functools import cache
@@ -35,14 +35,14 @@ def _join(top: wp.vec3d, bottom: wp.vec3d) -> wp.spatial_vectord:
 def swing(
     effect: LoadEffect, params: Tensor, start: Tensor, acceleration: Tensor, *, step: float, gravity: float
 ) -> tuple[Tensor, Tensor]:
-    """Return how links swing below origins that move as given, and the forces on these [N], by Runge-Kutta steps of order 4.
+    """Return the motion of links under moving origins and the forces on these [N], by Runge-Kutta steps of order 4.
 
     Args:
-        effect: Gives the equation of motion.
-        params: Its parameters, float64, (P,).
-        start: Direction and rate of the links, world, float64, (F, 6).
-        acceleration: Of the origins [m/s²], world, every half step, float64, (2 N + 1, F, 3).
-        step: Of the integrator [s].
+        effect: Load effect that gives the equation of motion.
+        params: Parameters of the effect, float64, (P,).
+        start: Initial direction and rate of the links, world, float64, (F, 6).
+        acceleration: Acceleration of the origins [m/s²], world, every half step, float64, (2 N + 1, F, 3).
+        step: Integration step [s].
         gravity: Downward acceleration of free fall [m/s²].
 
     Returns:
@@ -50,7 +50,7 @@ def swing(
 
     Raises:
         CapabilityError: If the effect has no Warp function.
-        ShapeError: If the tables do not fit each other.
+        ShapeError: If the shapes do not match.
     """
     rows, count = acceleration.shape[:2]
     if rows % 2 == 0 or tuple(start.shape) != (count, 6):
@@ -87,7 +87,7 @@ def _make_kernel(effect: LoadEffect) -> wp.Kernel:
 
     @wp.func
     def slope(acceleration: wp.vec3d, load: wp.spatial_vectord, params: params_type, gravity: wp.float64):
-        at = _Suspension()  # without mobility: what pulls at an origin does not move it
+        at = _Suspension()  # zero mobility: the load does not move the prescribed origin
         at.acceleration = acceleration
         at.gravity = gravity
         force, swing = pull(at, load, params)

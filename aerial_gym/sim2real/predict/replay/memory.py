@@ -1,6 +1,6 @@
-"""What effects remember along flights: each replays itself (``Effect.replay``).
+"""Replay of the memory of effects along flights (``Effect.replay``).
 
-Letters: T rows, M remembered numbers, R rotors.
+Letters: T rows, M memory values, R rotors.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,7 +22,7 @@ from aerial_gym.sim2real.predict.rows.batches import one_row
 def remembering(effects: EffectsByKind) -> Iterator[tuple[Effect, Tensor]]:
     """Yield the effects whose memory ``Effect.replay`` computes, with their parameters.
 
-    ``RotorReplay`` computes the memory of effects on commands, ``LoadReplay`` that of a load. Random wind predicts no row.
+    ``RotorReplay`` handles the memory of effects on commands and ``LoadReplay`` that of a load. Random wind has no replay.
     """
     for effect, params in effects.forces:
         if effect.replayed and effect.remembers:
@@ -30,7 +30,7 @@ def remembering(effects: EffectsByKind) -> Iterator[tuple[Effect, Tensor]]:
 
 
 def track_of(flight: Flight, vehicle: Vehicle, rotor_speed: Tensor, step: float, *, settled: float = 1.0) -> Track:
-    """Return what drives memory along a flight; arguments as the fields of ``Track``."""
+    """Return the track that drives memory along a flight; arguments as the fields of ``Track``."""
     stands = flight.on_ground is not None and bool(flight.on_ground[0])
     return Track(vehicle=vehicle, rotor_speed=rotor_speed, step=step, begins_on_ground=stands, settled=settled)
 
@@ -43,14 +43,14 @@ def remembered_along(
     *,
     settled: float,
 ) -> dict[str, list[Tensor]]:
-    """Return what effects on rotors and body remember in every row of the log of each flight, (T, M), by effect.
+    """Return the memory of effects on rotors and body in every log row of each flight, (T, M), by effect.
 
     Args:
-        model: The same in every row.
-        flights: With measured rotor speeds, or without.
-        speeds: Those that commands lead to [rad/s], (T, R) of each flight without measured ones.
-        answers: Known ones.
-        settled: How far soft arms have come to rest when a log begins in the air.
+        model: Model with the same parameters in every row.
+        flights: Flights with or without measured rotor speeds.
+        speeds: Rotor speeds from the commands [rad/s], (T, R), for flights without measured ones.
+        answers: Stored results.
+        settled: Initial angle of soft arms as a share of their rest angle, if a log begins in the air.
     """
     found = list(remembering(model.effects))
     if not found:
@@ -67,7 +67,7 @@ def remembered_along(
 
 
 def true_speed(flight: Flight, model: Model, led: Array | None) -> Tensor:
-    """Return the true rotor speeds in every row of a log [rad/s], (T, R): measured, else those that commands ``led`` to."""
+    """Return the true rotor speeds in every row of a log [rad/s], (T, R): measured, else the replayed ``led``."""
     speed = led if flight.rotor_speed is None else flight.rotor_speed
     assert speed is not None
     true = torch.from_numpy(speed)

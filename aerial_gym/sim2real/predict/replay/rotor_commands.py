@@ -1,9 +1,8 @@
-"""What the rotors of a flight follow: the logged commands, late by a dead time, under the measured voltage of the battery.
+"""Commanded rotor speeds with dead time and the effect of the measured battery voltage.
 
-The voltage is taken as it is logged. Its noise goes through the same lag as the commands, which is filter enough: of the
-variance of white noise, ``a / (2 - a)`` with ``a = 1 - exp(-dt / tau)`` is left. 20 mV on 16 V at 400 rows per second come to
-2e-4 of the speeds, and make a gain too small by 3e-4 where the voltage varies by 0.2 V (rms); a low-pass would take away the
-sag under load.
+The voltage is not filtered, because the rotor lag filters its noise with the commands. Of white noise it leaves the share
+``a / (2 - a)`` of the variance, ``a = 1 - exp(-dt / tau)``. For 20 mV on 16 V at 400 Hz this is 2e-4 of the speed. It
+reduces a gain by 3e-4 if the voltage varies by 0.2 V (RMS). A low-pass would remove the sag under load.
 Letters: T rows, R rotors.
 """
 
@@ -27,22 +26,21 @@ from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.tolerances import Deviated
 
 LEAST_VARIATION = 0.01
-"""A voltage that varies by less than this share acts like a constant factor on the commands."""
+"""Least relative variation of the voltage that is distinguishable from a constant factor."""
 
 
 def arriving_commands(flight: Flight, model: Model, *, shift: float = 0.0) -> tuple[Tensor, Tensor, float]:
-    """Return the speeds to which commands lead at the beginning and in the rest of each row [rad/s], (T, R), and the part
-    of a row for which the first ones hold.
+    """Return the target speeds at the start and in the rest of each row [rad/s], (T, R) each, and the first part's share.
 
-    A command holds from its row to the next. Before the first one has come through, it counts as given all along.
+    A command holds until the next row. Before the first command arrives, its value is assumed.
 
     Args:
-        flight: With commands.
-        model: Gives delay, battery and what it does, one environment.
-        shift: Each command lies this share of a row towards the next one.
+        flight: Flight with commands.
+        model: Model with delay and battery effects, one environment.
+        shift: Interpolation of each command towards the next, as a share of a row.
 
     Raises:
-        DataError: If the log lacks what an effect needs.
+        DataError: If the log lacks a quantity that an effect needs.
     """
     command = flight.rotor_command
     assert command is not None
@@ -55,18 +53,18 @@ def arriving_commands(flight: Flight, model: Model, *, shift: float = 0.0) -> tu
 
 
 def mean_commands(flight: Flight, model: Model, *, shift: float = 0.0) -> Array:
-    """Return the mean over each row of the speeds to which commands lead [rad/s], (T, R); ``shift`` as above."""
+    """Return the mean target speeds over each row [rad/s], (T, R); ``shift`` as in ``arriving_commands``."""
     earlier, later, share = arriving_commands(flight, model, shift=shift)
     return (share * earlier + (1.0 - share) * later).numpy()
 
 
 def is_commanded(flights: Sequence[Flight]) -> bool:
-    """Return whether rotors can follow commands in all flights; else they turn as measured."""
+    """Return whether all flights have commands; otherwise the measured rotor speeds drive the rotors."""
     return all(flight.rotor_command is not None for flight in flights)
 
 
 def with_arriving_commands(off: Deviated, flights: Sequence[Flight], params: ModelParams) -> list[Flight]:
-    """Return the flights with what arrives at the rotors as commands: so no window begins without those on their way."""
+    """Return the flights with commands as they arrive at the rotors, so that windows include those in transit."""
     acting = [(EFFECTS.get(name), values) for name, values in params.effects.items() if acts_on_commands(name)]
     model = build_model(off.vehicle, [(effect, torch.tensor(values).reshape(1, -1)) for effect, values in acting])
     shift = off.command_shift
@@ -74,12 +72,12 @@ def with_arriving_commands(off: Deviated, flights: Sequence[Flight], params: Mod
 
 
 def acts_on_commands(name: str) -> bool:
-    """Return whether an effect changes what commands lead to."""
+    """Return whether an effect changes the target speeds of commands."""
     return isinstance(EFFECTS.get(name), CommandEffect | DelayEffect)
 
 
 def _led_to(flight: Flight, model: Model, command: Tensor) -> Tensor:
-    """Return the speeds to which commands (T, R) lead under the voltage of their rows."""
+    """Return the target speeds of commands (T, R) at the voltage of their rows."""
     command = stop_in_dead_band(model.vehicle, command)
     for effect, params in model.effects[CommandEffect]:
         if lacking := missing_in_logs(effect, [flight]):
@@ -95,7 +93,7 @@ def _led_to(flight: Flight, model: Model, command: Tensor) -> Tensor:
 
 
 def missing_in_logs(effect: Effect, flights: Sequence[Flight]) -> Finding | None:
-    """Return the quantity that the logs of flights lack for a replay of an effect; None if they have all."""
+    """Return a finding on a logged quantity that an effect needs and flights lack; None if all are there."""
     without = [flight for flight in flights if flight.battery is None]
     if "battery" in effect.logged and without:
         return Finding("logs_lack", effect.name, {"flights": names_of(without, flights), "need": "battery"})
@@ -103,7 +101,7 @@ def missing_in_logs(effect: Effect, flights: Sequence[Flight]) -> Finding | None
 
 
 def too_steady(effect: Effect, flights: Sequence[Flight]) -> Finding | None:
-    """Return the variation of the voltage if it is too small in all flights together to show an effect; else None."""
+    """Return a finding if the voltage of all flights varies too little to identify an effect; else None."""
     if "battery" not in effect.logged:
         return None
     low, middle, high = np.percentile(
@@ -115,10 +113,9 @@ def too_steady(effect: Effect, flights: Sequence[Flight]) -> Finding | None:
 
 
 def too_coarse(effect: Effect, robot: RobotCfg, flights: Sequence[Flight]) -> Finding | None:
-    """Return the time between commands if it is too long to show an effect; else None.
+    """Return a finding if the time between commands exceeds the rotor lag, so an actuation effect is not identifiable.
 
-    What an autopilot commands between two rows is not logged. Rotors that follow within a row have followed that, too, and a
-    lag fitted to the rows alone makes up for it.
+    Rotors then also follow commands between the logged rows, and a fitted lag would compensate for these.
     """
     rates = [flight.rate for flight in flights if flight.rotor_command is not None]
     if not isinstance(effect, VehicleEffect) or effect.acts_on != "actuation" or not rates:

@@ -1,7 +1,7 @@
 # pyright: reportArgumentType=false, reportCallIssue=false, reportIndexIssue=false, reportOperatorIssue=false
 # pyright: reportGeneralTypeIssues=false, reportAttributeAccessIssue=false, reportAssignmentType=false
 # (Warp compiles the kernels from their source; Python's type rules do not describe them.)
-"""The rotor lag run through the rows of logs, in float64 on the CPU: rows one after another, flights and rotors side by side.
+"""Simulate the rotor lag along logs, in float64 on the CPU, with one thread per flight and rotor.
 
 Letters: F flights, R rotors, N rows of all flights.
 """
@@ -21,7 +21,7 @@ from aerial_gym.physics.rotor_lag import FASTEST, SHORTEST
 
 @wp.func
 def _approach(speed: wp.float64, command: wp.float64, kept: wp.vec2d) -> wp.float64:
-    """Return the speed after a span that leaves a share of a rising and of a falling difference, ``kept``."""
+    """Return the speed after a first-order step; ``kept``: shares of a rising and a falling difference that remain."""
     return command + (speed - command) * wp.where(command > speed, kept[0], kept[1])
 
 
@@ -36,7 +36,7 @@ def _follow(
     # out
     speed_out: wp.array2d[wp.float64],  # (N, R) [rad/s]
 ):
-    """Write the speed at each row: every row holds its earlier command first, then the later one."""
+    """Write the speed at each row; within a row the earlier command acts first, then the later one."""
     flight, rotor = wp.tid()
     speed = first[flight, rotor]
     for row in range(ends[flight], ends[flight + 1]):
@@ -60,7 +60,7 @@ def _make_follow_limited() -> Any:
         # out
         speed_out: wp.array2d[wp.float64],  # (N, R) [rad/s]
     ):
-        """Write the speed at each row: every row holds its earlier command first, then the later one."""
+        """Write the speed at each row; within a row the earlier command acts first, then the later one."""
         flight, rotor = wp.tid()
         speed = first[flight, rotor]
         limit = limits[rotor]
@@ -84,24 +84,24 @@ def follow_commands(
     tau_down: Tensor,
     slew_rates: tuple[Tensor, Tensor] | None = None,
 ) -> Tensor:
-    """Return the speeds at the rows of some flights, one after another [rad/s], float64, (N, R).
+    """Return the rotor speeds at the rows of all flights in sequence [rad/s], float64, (N, R).
 
-    As ``rotors.lag_speed``; with ``slew_rates`` as ``rotor_lag.limited_lag``, for speeds of either sign.
+    The law is ``rotors.lag_speed``, with ``slew_rates`` that of ``rotor_lag.limited_lag`` for speeds of either sign.
 
     Args:
         first: Speeds at the first row of each flight [rad/s], float64, (F, R).
-        earlier: Commands at the beginning of each row [rad/s], float64, (N, R).
-        later: Commands in the rest of it [rad/s], float64, (N, R).
-        share: Part of a row for which the earlier ones hold, 0 to 1, (F,).
+        earlier: Commands at the start of each row [rad/s], float64, (N, R).
+        later: Commands in the rest of each row [rad/s], float64, (N, R).
+        share: Part of a row in which the earlier commands hold, 0 to 1, (F,).
         ends: First row of each flight, and N, int32, (F + 1,).
-        step: Between two rows of a flight [s], (F,).
-        tau_up: Lag of a rising speed [s], (R,). Zero follows at once.
-        tau_down: Lag of a falling speed [s], (R,).
-        slew_rates: Largest rates of growing and of falling speeds [rad/s²], each (R,), infinite where there is no limit. None:
-            no rotor has one, and none is reversible.
+        step: Time between two rows of each flight [s], (F,).
+        tau_up: Time constant of a rising speed [s], (R,); 0 follows at once.
+        tau_down: Time constant of a falling speed [s], (R,).
+        slew_rates: Largest rates of rising and falling speeds [rad/s²], each (R,), infinite without a limit. None: no
+            rotor has a limit or is reversible.
 
     Raises:
-        ShapeError: If the tables of commands do not fit each other and the flights.
+        ShapeError: If the shapes of the commands do not match the flights.
     """
     rows = (int(ends[-1]), first.shape[1])
     if tuple(earlier.shape) != rows or tuple(later.shape) != rows:

@@ -1,4 +1,4 @@
-"""Rotor speeds that follow from the logged commands, for all flights side by side.
+"""Rotor speeds from logged commands, for all flights at once.
 
 Letters: F flights, T rows of a flight, N rows of all flights, R rotors.
 """
@@ -18,11 +18,11 @@ from aerial_gym.sim2real.predict.replay.rotor_commands import arriving_commands
 from aerial_gym.sim2real.predict.replay.rotor_lag import follow_commands
 
 REMEMBERED = 8
-"""Results kept; a fit asks for few different lags again and again."""
+"""Number of stored results; a fit repeats few different lags."""
 
 
 class RotorReplay:
-    """Runs lag, dead time and battery of a model through the commands, from the first measured speed on, uncorrected."""
+    """Open-loop simulation of lag, dead time and battery from the first measured speed and the commands."""
 
     def __init__(self, flights: Sequence[Flight]) -> None:
         self._flights = flights
@@ -35,20 +35,20 @@ class RotorReplay:
     def speeds(
         self, model: Model, shift: float, sensors: Sequence[tuple[RotorSensorEffect, Tensor]] = ()
     ) -> list[Array | None]:
-        """Return speeds [rad/s] of each flight as they are measured, (T, R); None for a flight without commands.
+        """Return the speeds of each flight as a sensor reads them [rad/s], (T, R); None for a flight without commands.
 
         Args:
-            model: Gives lag, dead time and what the battery does, one environment.
-            shift: The command of a step lies this share of it towards the next row.
-            sensors: Errors of the sensors of rotor speed, with parameters (1, P).
+            model: Model with lag, dead time and battery effects, one environment.
+            shift: Interpolation of each command towards the next, as a share of a row.
+            sensors: Effects on the rotor speed sensors, with parameters (1, P).
 
         Raises:
-            DataError: If a log lacks what an effect of the model needs.
+            DataError: If a log lacks a quantity that an effect needs.
         """
         vehicle, effects = model.vehicle, (*model.effects[DelayEffect], *model.effects[CommandEffect], *sensors)
         numbers = [vehicle.time_constant_up, vehicle.time_constant_down, vehicle.battery]
         numbers += [params for _, params in effects]
-        alike = torch.cat(numbers, dim=1)[0].numpy().tobytes()  # a battery that nobody declared is NaN, unlike itself
+        alike = torch.cat(numbers, dim=1)[0].numpy().tobytes()  # bytes, as an undeclared battery is NaN
         key = (tuple(effect.name for effect, _ in effects), shift, alike)
         if key not in self._results:
             self._results[key] = self._run(model, shift, sensors)
@@ -85,7 +85,7 @@ class RotorReplay:
         return result
 
     def _first(self, index: int, sensors: Sequence[tuple[RotorSensorEffect, Tensor]]) -> Tensor:
-        """Return the true speeds at the start, (R,): measured ones without the errors of the sensors, else the commands."""
+        """Return the true initial speeds, (R,): measured, corrected for sensor errors, else the first commands."""
         flight = self._flights[index]
         if flight.rotor_speed is None:
             assert flight.rotor_command is not None

@@ -1,1 +1,1 @@
-"""Rows of flights that are evaluated at once, each one environment of the simulator."""
+"""Batched evaluation of flight rows, each as one environment of the simulator."""

@@ -1,19 +1,18 @@
-"""What noise of the gyro and torque have in common: an autopilot answers that noise.
+"""Tolerance for the correlation of gyro noise with torque, caused by the autopilot's feedback.
 
-Where a vehicle only hovers, much of the torque about an axis is such an answer. Then what is measured and what predicts it go
-together beyond what the torque does, and a fit takes that for the vehicle's inertia or its rotors' drag (the bias of
-identification in closed loop). How much they have in common nobody logs, but there is a bound: noise of rms n goes together
-with torque of rms t, of which an answer of rms a, so far that the torque seems larger by ``n a / t²`` at most. All up to
-that bound is equally probable, with either sign, which makes a standard deviation of that over root 3. Where a vehicle moves,
-it is next to nothing.
+In hover, much of the torque is the autopilot's response to gyro noise. Measurement and prediction are then correlated
+beyond the physical torque, and a fit attributes this to inertia or rotor drag (bias of closed-loop identification). The
+correlation is unknown but bounded. With noise of RMS n, torque of RMS t and a response of RMS a, the torque seems larger
+by at most ``n a / t²``. A uniform distribution within this bound, with either sign, has the standard deviation
+bound / sqrt(3). In motion it is negligible.
 
-The noise is that of the gyro above the band; the answer is what the rotors are told there, where next to nothing else is,
-slowed by their lag. In a log without commands it is what would make them turn as they do there, noise of their sensors and all.
+The noise is measured above the comparison band. So is the response, from the commands there, low-passed by the rotor lag.
+Without commands, the inverse lag of the measured rotor speeds takes their place, sensor noise included.
 
 Letters: T rows, L lines of a spectrum, K columns.
 
 Source:
-    Ljung (1999), System Identification: Theory for the User, section 13.4 (what feedback does to the direct method).
+    Ljung (1999), System Identification: Theory for the User, section 13.4 (feedback in the direct method).
 """
 
 import numpy as np
@@ -30,15 +29,15 @@ from aerial_gym.sim2real.predict.rows.spectra import density_of, noise_above
 
 
 def seeming_torque(flight: Flight, declared: Vehicle, turning: Array, bandwidth: float) -> Array:
-    """Return by how much the torque may seem larger about each axis, as a share of it: one standard deviation, (3,).
+    """Return the standard deviation of the apparent relative increase of the torque about each axis, (3,).
 
-    0 where the log is too slow to tell the noise, and about an axis about which nothing turns.
+    It is 0 if the log is too slow to show the noise, and about axes without angular acceleration.
 
     Args:
-        flight: With what was measured.
-        declared: One environment.
-        turning: Angular acceleration that it makes, in the band [rad/s²], body, (T, 3).
-        bandwidth: Of the comparison [Hz].
+        flight: Measured flight.
+        declared: Declared vehicle, one environment.
+        turning: Predicted angular acceleration in the band [rad/s²], body, (T, 3).
+        bandwidth: Bandwidth of the comparison [Hz].
     """
     noise, answer = _noise(flight, bandwidth), _answer(flight, declared, bandwidth)
     if noise is None or answer is None or not len(turning):
@@ -49,7 +48,7 @@ def seeming_torque(flight: Flight, declared: Vehicle, turning: Array, bandwidth:
 
 
 def _noise(flight: Flight, bandwidth: float) -> Array | None:
-    """Return the rms of the noise of the angular acceleration in the band [rad/s²], (3,); None where it cannot be told."""
+    """Return the RMS noise of the angular acceleration in the band [rad/s²], (3,); None if the log is too slow."""
     frequency, density = density_of(flight.ang_vel, flight.rate)
     level = noise_above(frequency, density, bandwidth, flight.rate)
     return (
@@ -58,7 +57,7 @@ def _noise(flight: Flight, bandwidth: float) -> Array | None:
 
 
 def _answer(flight: Flight, vehicle: Vehicle, bandwidth: float) -> Array | None:
-    """Return the rms of the angular acceleration by which rotors answer in the band [rad/s²], (3,); None as for the noise."""
+    """Return the RMS rotor response in the band as angular acceleration [rad/s²], (3,); None if the log is too slow."""
     told = flight.rotor_command is not None
     speed = flight.rotor_command if told else flight.rotor_speed
     assert speed is not None
@@ -71,6 +70,6 @@ def _answer(flight: Flight, vehicle: Vehicle, bandwidth: float) -> Array | None:
 
 
 def _rms_below(bandwidth: float, frequency: Array, density: Array) -> Array:
-    """Return the rms below a bandwidth [Hz] of signals of these densities (L, K) at frequencies [Hz], (K,)."""
+    """Return the RMS below a bandwidth [Hz] of signals with densities (L, K) at frequencies [Hz], (K,)."""
     gain = lowpass_gain(frequency, bandwidth)[:, None]
     return np.sqrt((density * gain**2).sum(axis=0) * frequency[1])

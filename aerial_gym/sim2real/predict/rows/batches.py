@@ -1,4 +1,4 @@
-"""Rows of flights: which are evaluated together, and vehicles and models of one environment in every one. Letters: E rows."""
+"""Batches of flights, and the expansion of one environment to every row. Letters: E rows."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,11 +12,11 @@ from aerial_gym.sim2real.arrays import Indices
 from aerial_gym.sim2real.logs.flights import Flight
 
 MOST_ROWS = 16000
-"""Flights are evaluated together up to so many rows: more of them leave the processor's cache, and take longer each."""
+"""Most rows per batch; larger ones exceed the processor's cache and are slower per row."""
 
 
 def together(rows: Sequence[int]) -> list[slice]:
-    """Return which neighbouring flights are evaluated together, given the rows of each: MOST_ROWS, or a longer one alone."""
+    """Return the batches of consecutive flights, given their numbers of rows: at most MOST_ROWS, or one longer flight."""
     ends = [0]
     for index in range(1, len(rows)):
         if sum(rows[ends[-1] : index + 1]) > MOST_ROWS:
@@ -25,17 +25,17 @@ def together(rows: Sequence[int]) -> list[slice]:
 
 
 def expand_rows(vehicle: Vehicle, rows: int) -> Vehicle:
-    """Return the vehicle of one environment in every row, without copies."""
+    """Return a vehicle of one environment expanded to every row, without copies."""
     return vehicle.map_rows(lambda values: values.expand(rows, *values.shape[1:]))
 
 
 def one_row(vehicle: Vehicle, row: int) -> Vehicle:
-    """Return the vehicle of one of several environments."""
+    """Return one environment of a vehicle."""
     return vehicle.map_rows(lambda values: values[row : row + 1])
 
 
 def expand_model(model: Model, rows: int) -> Model:
-    """Return the model of one environment in every row, without copies."""
+    """Return a model of one environment expanded to every row, without copies."""
     return replace(
         model,
         vehicle=expand_rows(model.vehicle, rows),
@@ -45,7 +45,7 @@ def expand_model(model: Model, rows: int) -> Model:
 
 
 def with_known_wind(model: Model, flights: Sequence[Flight], flight: Indices) -> Model:
-    """Return the model in the wind that was known in the flight of each row, on top of its own; ``flight`` is (E,)."""
+    """Return the model with the known steady wind of each row's flight added; ``flight``: flight index, (E,)."""
     if all(f.wind is None for f in flights):
         return model
     known = torch.tensor([f.wind or (0.0, 0.0, 0.0) for f in flights], dtype=torch.float64)

@@ -1,4 +1,4 @@
-"""The measured side: what flights have in the band, and what their sensors and kinematics say in every row.
+"""Measured data of the flights in the comparison band, and the sensor readings that kinematics imply.
 
 Letters: E rows, C channels, R rotors.
 """
@@ -23,32 +23,32 @@ from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate
 from aerial_gym.sim2real.predict.scene import heights, other_along
 
 ROWS_PER_BAND = 5.0
-"""Rows are evaluated at this many times the bandwidth."""
+"""Rate of the evaluated rows in bandwidths."""
 
 THINNED_HZ = 50.0
-"""Rows per second below which no log is thinned: it has few, and its forces are often derived from a velocity."""
+"""Least rate of the evaluated rows [Hz]: slow logs are not thinned, as their forces often are derived from velocity."""
 
 PREFILTER = 0.4
-"""Before, they are low-passed at this share of that rate: 0.4 % of the amplitude at the bandwidth goes, and as much is left of
-what would be folded to it."""
+"""Cut-off of the low-pass before thinning, as a share of the new rate. It removes 0.4 % of the amplitude at the bandwidth,
+and as much aliases to it."""
 
 SAMPLES_PER_BAND = 3.0
-"""Residuals are kept at about this many times the bandwidth."""
+"""Approximate rate of the residuals in bandwidths."""
 
 FAR_ABOVE = np.array([0.0, 0.0, 1e3])
-"""Where a vehicle is taken to be whose log has no position [m], world: away from the ground."""
+"""Assumed position of a vehicle whose log has none [m], world: far from the ground."""
 
 SETTLE_S = 0.5
-"""Dropped at the start where rotor speeds are simulated from commands [s]."""
+"""Time dropped at the start if rotor speeds are simulated from commands [s]."""
 
 
 def thinned(flight: Flight, bandwidth: float) -> int:
-    """Return how many rows of a log are one row that is evaluated."""
+    """Return the thinning factor of a log: log rows per evaluated row."""
     return max(1, int(flight.rate / max(ROWS_PER_BAND * bandwidth, THINNED_HZ)))
 
 
 class Dataset:
-    """Flights whose rows are evaluated at once, one after the other."""
+    """Flights whose rows are evaluated in one batch, in sequence."""
 
     def __init__(
         self,
@@ -59,14 +59,14 @@ class Dataset:
         channels: Sequence[Channel],
         every_row: bool,
     ) -> None:
-        """Take flights.
+        """Load the flights.
 
         Args:
-            flights: With what was measured.
-            rotors: Rotor speeds of each from which it is predicted; None where none were measured.
-            bandwidth: Of the comparison [Hz].
-            channels: What is compared.
-            every_row: Whether all rows of the log are kept instead of thinning them to the band.
+            flights: Measured flights.
+            rotors: Rotor speeds of each flight for the prediction; None where none were measured.
+            bandwidth: Bandwidth of the comparison [Hz].
+            channels: Compared channels.
+            every_row: Whether to keep all rows of the log instead of thinning them to the band.
         """
         self.flights, self.bandwidth, self.channels = tuple(flights), bandwidth, tuple(channels)
         self.stride = [1 if every_row else thinned(f, bandwidth) for f in flights]
@@ -95,7 +95,7 @@ class Dataset:
         self.force = (
             torch.cat([self._thin(i, "specific_force") for i in range(len(flights))]) if accelerometers else None
         )
-        # Where there is no accelerometer, the force is derived from the velocity, without the errors of one.
+        # Without an accelerometer the force is derived from the velocity, and has no accelerometer errors.
         felt = torch.tensor([flight.accelerometer for flight in flights])
         self.felt_force = felt[torch.from_numpy(self.flight)].unsqueeze(1)
         kept = [felt[index].expand(time.size, 1) for index, time in enumerate(self.times)]
@@ -115,18 +115,18 @@ class Dataset:
 
     @staticmethod
     def _of_modes(index: int, rotor: RotorEstimate, at_rows: Callable[[int, Array], Tensor]) -> Tensor:
-        """Return what is unsure of a flight's rotors at its rows, mode by mode, (R, E, R)."""
+        """Return the uncertainty of a flight's rotor motion at its rows, by mode, (R, E, R)."""
         return torch.stack([at_rows(index, mode) for mode in rotor.unsure])
 
     def slow(self, index: int, rows: Array) -> Array:
-        """Return values at the rows of a flight (E, any) in the band, (rows kept, any)."""
+        """Return low-passed values of a flight's rows (E, any) at the kept rows, (rows kept, any)."""
         stride = self.stride[index]
         return lowpass(rows, self.flights[index].rate / stride, self.bandwidth)[self.kept[index] // stride]
 
     def kinematics(self, *, force_late: float = 0.0, rate_late: float = 0.0) -> tuple[Tensor, Tensor, Tensor]:
-        """Return what attitude and velocity imply at the rows kept, (T, 3) each, in the band, later by some seconds.
+        """Return the sensor readings that attitude and velocity imply at the kept rows, (T, 3) each, with delays [s].
 
-        Specific force [m/s²], by how much it changes with the delay of the velocity alone [m/s³], angular velocity [rad/s].
+        These are specific force [m/s²], its derivative by the velocity's delay [m/s³] and angular velocity [rad/s].
         """
         flights = len(self.flights)
         forces = self.in_band(self._implied[:6], [force_late] * flights)
@@ -135,9 +135,9 @@ class Dataset:
         return force, jerk, rate
 
     def in_band(self, columns: Array, late: Sequence[float] | None = None) -> Array:
-        """Return values at the rows of all flights (K, E) in the band, (K, rows kept); what is zero stays so.
+        """Return low-passed columns of all flights (K, E) at the kept rows, (K, rows kept); zeros stay exactly 0.
 
-        ``late``: by how much later they come in each flight [s]; None: as they are.
+        ``late``: delay of each flight [s]; None: no delay.
         """
         moving = np.flatnonzero(not_zero(columns, axis=1))
         found = np.zeros((len(columns), self.kept_spans[-1].stop))
@@ -166,14 +166,14 @@ class Dataset:
         return np.concatenate(parts, axis=1)
 
     def _kept_rows(self, flight: Flight, stride: int, every_row: bool) -> Indices:
-        """Return the rows of the log at which residuals are kept: multiples of the stride, without the ends."""
+        """Return the log rows of the residuals: multiples of the stride, without the ends and ground contacts."""
         edge = edge_rows(flight.rate, self.bandwidth)
         start = edge if flight.rotor_command is None else max(edge, round(SETTLE_S * flight.rate))
         step = 1 if every_row else stride * max(1, round(flight.rate / stride / (SAMPLES_PER_BAND * self.bandwidth)))
         rows = np.arange(-(-start // step) * step, flight.num_rows - edge, step)
-        if flight.on_ground is None or every_row:  # a spectrum needs all of them
+        if flight.on_ground is None or every_row:  # a spectrum needs every row
             return rows
-        near = edge_rows(flight.rate, self.bandwidth)  # the low-pass spreads the jolt of a touch as it spreads an end
+        near = edge_rows(flight.rate, self.bandwidth)  # the low-pass spreads the jolt of a touchdown
         touched = np.asarray(ndimage.maximum_filter1d(flight.on_ground, 2 * near + 1), dtype=bool)
         return rows[np.logical_not(touched[rows])]
 
@@ -194,29 +194,29 @@ class Dataset:
         return self.thinned(index, values)
 
     def _derivative(self, index: int, name: str) -> Tensor:
-        """Return the derivative of a quantity at the rows of a flight, (E, any); zeros where the log lacks it."""
+        """Return the derivative of a quantity at the rows of a flight, (E, any); 0 if it was not logged."""
         values = getattr(self.flights[index], name)
         return self.derivative_of(index, np.zeros((self.flights[index].num_rows, 3)) if values is None else values)
 
     def derivative_of(self, index: int, values: Array) -> Tensor:
-        """Return the derivative of values in all rows of the log at the rows of a flight, (E, any)."""
+        """Return the derivative of values in all log rows at the rows of a flight, (E, any)."""
         slow = lowpass(values, self.flights[index].rate, self._wide(index), derivative=True)
         return torch.from_numpy(np.ascontiguousarray(slow[:: self.stride[index]]))
 
     def _wide(self, index: int) -> float:
-        """Return the band of derivatives [Hz]: wider than the comparison, unless the angular velocity is itself derived."""
+        """Return the bandwidth of derivatives [Hz], wider than the comparison's unless the angular velocity is derived."""
         flight = self.flights[index]
         return PREFILTER * flight.rate / self.stride[index] if flight.gyro else self.bandwidth
 
     def _implied_force(self, index: int) -> Tensor:
-        """Return ``R^T (v' + g e_z)`` [m/s²], body, (E, 3): what an accelerometer without errors reads."""
+        """Return ``R^T (v' + g e_z)`` [m/s²], body, (E, 3): the reading of an ideal accelerometer."""
         acceleration = self.acceleration[self.spans[index]].clone()
         acceleration[:, 2] += STANDARD_GRAVITY
         attitude = self._thin(index, "attitude")
         return quat_rotate_inverse(attitude / attitude.norm(dim=1, keepdim=True), acceleration)
 
     def _implied_jerk(self, index: int) -> Tensor:
-        """Return ``R^T v''`` [m/s³], body, (E, 3): by how much that force changes with the delay of the velocity alone."""
+        """Return ``R^T v''`` [m/s³], body, (E, 3): the derivative of the implied force with respect to the velocity's delay."""
         acceleration = self.acceleration[self.spans[index]].numpy()
         rate = self.flights[index].rate / self.stride[index]
         jerk = torch.from_numpy(lowpass(acceleration, rate, self.bandwidth, derivative=True))
@@ -224,13 +224,13 @@ class Dataset:
         return quat_rotate_inverse(attitude / attitude.norm(dim=1, keepdim=True), jerk)
 
     def _implied_rate(self, index: int) -> Tensor:
-        """Return the angular velocity that the attitude implies [rad/s], body, (E, 3)."""
+        """Return the angular velocity implied by the attitude [rad/s], body, (E, 3)."""
         flight = self.flights[index]
         rate = body_rate_of(flight.attitude, flight.rate, self._wide(index))
         return torch.from_numpy(np.ascontiguousarray(rate[:: self.stride[index]]))
 
     def thinned(self, index: int, values: Array) -> Tensor:
-        """Return every n-th row of values that were low-passed below half of that rate."""
+        """Return values at every n-th row, low-passed below half the new rate."""
         stride = self.stride[index]
         if stride > 1:
             values = lowpass(values, self.flights[index].rate, PREFILTER * self.flights[index].rate / stride)[::stride]

@@ -1,4 +1,4 @@
-"""What inertial sensors read of what is true: their constant errors, and those with which a log may come, in every row.
+"""Readings of inertial sensors with the errors of a model and the deviations of a log, in every row.
 
 Letters: E rows, T rows kept.
 """
@@ -23,62 +23,62 @@ from aerial_gym.sim2real.predict.tolerances import Sensed
 Columns = list[Array]
 
 READINGS = 3
-"""Readings that are kept of what kinematics imply."""
+"""Number of stored kinematic readings."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """What a sensor reads of true vectors: ``turn^T v + offset``."""
+    """Reading of a sensor for true vectors: ``turn^T v + offset``."""
 
     offset: Tensor
     turn: Tensor
 
     def of(self, rows: Tensor) -> Tensor:
-        """Return what is read of rows (E, 3)."""
+        """Return the readings for true rows (E, 3)."""
         return times(rows, self.turn) + self.offset
 
 
 def imu_of(model: Model) -> tuple[Reading, Reading]:
-    """Return what accelerometer and gyroscope read under the errors of a model, which are the same in all rows."""
+    """Return the readings of accelerometer and gyro under a model's sensor errors, constant in all rows."""
     numbers = imu_errors([(effect, params[:1]) for effect, params in model.effects[ImuEffect]]).view(2, 4, 3)
     accelerometer, gyro = (Reading(offset=part[0], turn=part[1:]) for part in numbers)
     return accelerometer, gyro
 
 
 class ImuReading:
-    """What the inertial sensors of some flights read in the band."""
+    """Readings of the inertial sensors in the band."""
 
     def __init__(self, data: Dataset, in_band: InBand) -> None:
-        """Take the flights, and what they feel in the band."""
+        """Store the flights and their forces in the band."""
         self.data, self._in_band = data, in_band
         self._of_kinematics: OrderedDict[tuple[object, ...], dict[str, Columns]] = OrderedDict()
 
     def clock(self, logged: Sensed) -> list[float]:
-        """Return how late rotor speeds, accelerometer, gyro, attitude and velocity are on the clock of the rotor speeds [s].
+        """Return the delays of rotor speeds, accelerometer, gyro, attitude and velocity on the prediction's clock [s].
 
-        Of those that were logged, or of commands, which are late by nothing. Rows are predicted on it.
+        This clock is that of the logged rotor speeds, or of the commands, which have no delay.
         """
         late = logged.delays.tolist()
         clock = 0.0 if self.data.simulated else late[0]
         return [one - clock for one in late]
 
     def late(self, logged: Sensed) -> Late:
-        """Return by how much force and turning are late in each flight, on that clock.
+        """Return the delays of force and rotation in each flight on that clock.
 
-        Without an accelerometer the force is in the axes of the logged attitude, and as late.
+        Without an accelerometer the force is derived in the axes of the attitude, and has its delay.
         """
         _, acc, gyro, attitude, _ = self.clock(logged)
         force = tuple(acc if flight.accelerometer else attitude for flight in self.data.flights)
         return Late(force=force, gyro=(gyro,) * len(force))
 
     def read(self, model: Model, found: Accelerations, logged: Sensed, seeming: Tensor | None) -> dict[str, Columns]:
-        """Return three columns (T,) by kind of channel.
+        """Return the sensor readings by kind of channel, three columns (T,) each.
 
         Args:
-            model: The same in all rows.
-            found: What the vehicle feels, as late as it is logged.
-            logged: What a deviation within the tolerances does to what is logged.
-            seeming: What noise in step with the torque seems to add to it [rad/s²], (T, 3); None for nothing.
+            model: Model with the same parameters in all rows.
+            found: Specific force and angular acceleration with the delays of the log.
+            logged: Sensor errors of the deviations within the tolerances.
+            seeming: Apparent addition to the angular acceleration by correlated noise [rad/s²], (T, 3); None: zero.
         """
         felt, force, torque = self.data.felt_force_kept, found.specific_force, found.ang_acc
         if logged.imu_place.any():
@@ -89,15 +89,15 @@ class ImuReading:
         if seeming is not None:
             torque = torque + seeming
         turn = quat_to_matrix(logged.turn) if logged.attitude.any() else None
-        if turn is not None:  # where there is no accelerometer, the force is derived in the axes of the logged attitude
+        if turn is not None:  # a derived force has the axes of the logged attitude
             force = torch.where(felt, force, times(force, turn))
         *_, attitude, velocity = logged.delays.tolist()
-        if velocity != attitude:  # there it is that of the velocity, in those axes
+        if velocity != attitude:  # a derived force has the velocity's delay in those axes
             _, jerk, _ = self.data.kinematics()
             force = torch.where(felt, force, force - (velocity - attitude) * jerk)
         implied = self._read_of_kinematics(model, logged, turn)
         if logged.acc_scale.any():
-            # Of the force that is predicted: of what kinematics imply, their noise would look like a scale.
+            # The scale acts on the predicted force; on the implied one, noise would bias it.
             more = force * logged.acc_scale * felt
             force = force + more
             pairs = zip(implied["kinematic_force"], columns_of(more), strict=True)
@@ -109,7 +109,7 @@ class ImuReading:
         }
 
     def _read_of_kinematics(self, model: Model, logged: Sensed, turn: Tensor | None) -> dict[str, Columns]:
-        """Return what the sensors read of what kinematics imply: the same for all models whose sensors err alike."""
+        """Return the kinematic channels with sensor errors, cached for all models with equal errors."""
         errs, turns = model.effects[ImuEffect], () if turn is None else (turn.flatten(),)
         own = (logged.acc_bias, logged.gyro_bias, logged.delays)
         numbers = torch.cat((*own, *turns, *(params[0] for _, params in errs))).numpy().tobytes()

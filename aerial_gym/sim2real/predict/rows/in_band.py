@@ -1,8 +1,8 @@
-"""What a vehicle feels in the band, from what acts on it in every row.
+"""Low-passed forces and accelerations of the vehicle, from the forces on it in every row.
 
-A low-pass of a sum is the sum of low-passes, and what is the same in all rows may as well come after it: mass, inertia, axes.
-So forces are brought into the band effect by effect, each once, and only what has changed is filtered again: of the rotors what
-the coefficients of their maps are multiplied with.
+The low-pass is linear and commutes with row-independent factors: mass, inertia and axes. So forces are filtered separately
+for each effect and cached, and only changed ones are filtered again. For rotors the powers of speed are filtered, before
+the map's coefficients multiply them.
 Letters: E rows, T rows kept, R rotors, K coefficients of a map.
 """
 
@@ -21,24 +21,24 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.predict.rows.dataset import Dataset
 
 KEPT = 2
-"""Results kept of each effect for each sensor, as many as answers (``physics.answers``)."""
+"""Number of cached results per effect and sensor, as in ``physics.answers``."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Late:
-    """By how much what is compared is late on the clock of the rows, in each flight [s]."""
+    """Delays of the sensors on the clock of the rows, by flight [s]."""
 
     force: tuple[float, ...]
-    """The accelerometer, or what stands for one."""
+    """Delay of the accelerometer, or of the derived force."""
 
     gyro: tuple[float, ...]
 
 
 class InBand:
-    """Forces on the vehicle along some flights, brought into the band."""
+    """Low-passed forces on the vehicle along some flights."""
 
     def __init__(self, data: Dataset) -> None:
-        """Take the flights."""
+        """Store the flights and filter their measured motion."""
         self._data = data
         self._known: dict[str, list[tuple[Tensor, tuple[float, ...], Tensor]]] = {}
         on_time = (0.0,) * len(data.times)
@@ -47,7 +47,7 @@ class InBand:
         products = (rates.unsqueeze(2) * rates.unsqueeze(1)).flatten(1)
         self._motion_rows = torch.cat((data.ang_acc, products), dim=1)
         self._motion = self._slow(self._motion_rows, on_time)
-        """Angular acceleration and products of angular velocities as measured, (3 + 9, T)."""
+        """Measured angular acceleration and products of angular velocities, (3 + 9, T)."""
 
         self._lead, self._late_motion = on_time, self._motion
 
@@ -62,14 +62,14 @@ class InBand:
     ) -> Accelerations:
         """Return specific force [m/s²] and angular acceleration [rad/s²] of the body origin in the band, (T, 3) each.
 
-        Both as late as they are logged. The body turns as measured: an error of the torque model stays out of the forces.
+        Both have the sensors' delays. Rotation is measured, so errors of the torque model do not enter the forces.
 
         Args:
-            model: The same in all rows.
-            rotor_speed: True speeds [rad/s], (E, R).
-            acting: Forces in every row, linear ones apart or not.
-            about: Where the torques of effects at hubs are about [m], body, (3,). None: the centre of mass, as all others.
-            late: Sensors; None: on time.
+            model: Model with the same parameters in all rows.
+            rotor_speed: True rotor speeds [rad/s], (E, R).
+            acting: Forces in every row; linear ones may be separate.
+            about: Reference point of the torques of effects at hubs [m], body, (3,). None: the centre of mass.
+            late: Sensor delays; None: zero.
         """
         late = late or self._on_time
         vehicle, wrench = model.vehicle, self._wrench(model, rotor_speed, acting, about, late.force)
@@ -85,7 +85,7 @@ class InBand:
     def _wrench(
         self, model: Model, rotor_speed: Tensor, acting: Acting, about: Tensor | None, late: tuple[float, ...]
     ) -> Tensor:
-        """Return all forces and torques in the band, (6, T), so many seconds late in each flight."""
+        """Return the total forces and torques in the band, (6, T), with a delay [s] per flight."""
         vehicle = model.vehicle
 
         def of(name: str, rows: Tensor, law: Callable[[Tensor], Tensor] = lambda rows: rows) -> Tensor:
@@ -108,9 +108,9 @@ class InBand:
         return wrench
 
     def felt_at(self, place: Tensor, late: Late) -> Tensor:
-        """Return what a place [m], body, (3,), feels more than the origin as the vehicle turns as measured [m/s²], (3, T).
+        """Return the extra acceleration of a point [m], body, (3,), against the origin, from measured rotation [m/s²], (3, T).
 
-        ``alpha x r + w (w r) - w² r``, as late as the force is logged.
+        The formula is ``alpha x r + w (w r) - w² r``, with the delay of the force.
         """
         turning, products = _of_motion()
         square = products.diagonal(dim1=1, dim2=2).sum(dim=1)
@@ -118,7 +118,7 @@ class InBand:
         return lever.T @ self._turning(late)
 
     def _turning(self, late: Late) -> Tensor:
-        """Return the motion that a gyro has measured, as late as the force is logged, (12, T)."""
+        """Return the measured rotation, (12, T), with the delay of the force."""
         lead = tuple(force - gyro for force, gyro in zip(late.force, late.gyro, strict=True))
         if not any(lead):
             return self._motion
@@ -127,7 +127,7 @@ class InBand:
         return self._late_motion
 
     def _of(self, name: str, late: tuple[float, ...], rows: Tensor, law: Callable[[Tensor], Tensor]) -> Tensor:
-        """Return a law of rows (E, ...) in the band, (..., T), of the same tensor as before or of another one."""
+        """Return a function of rows (E, ...) in the band, (..., T), cached by tensor and delay."""
         kept = self._known.setdefault(name, [])
         for number, (before, delays, found) in enumerate(kept):
             if rows is before and late == delays:
@@ -140,12 +140,12 @@ class InBand:
         return found
 
     def _slow(self, rows: Tensor, late: tuple[float, ...]) -> Tensor:
-        """Return rows (E, K) in the band, (K, T)."""
+        """Return low-passed rows (E, K) as columns (K, T)."""
         return torch.from_numpy(self._data.in_band(rows.T.contiguous().numpy(), late))
 
 
 def _of_motion() -> tuple[Tensor, Tensor]:
-    """Return angular acceleration (12, 3) and products of angular velocities (12, 3, 3) in the columns of the motion."""
+    """Return selectors of the motion's columns: angular acceleration (12, 3), products of rates (12, 3, 3)."""
     unit = torch.eye(12, dtype=torch.float64)
     return unit[:, :3], unit[:, 3:].view(-1, 3, 3)
 

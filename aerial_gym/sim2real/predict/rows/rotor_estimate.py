@@ -1,17 +1,14 @@
-"""Rotor speeds as a prediction needs them: without the part of their noise that would be taken for motion.
+"""Expected rotor speeds for predictions, without the noise that would bias a fit.
 
-What is predicted from a noisy speed has its noise in it, and a fit takes that noise for the effect: it makes the effect smaller
-(attenuation), where a vehicle hardly moves by several times. A prediction from the *expected* speed, given all that was logged,
-has no such bias: what the expectation misses is independent of it (Berkson's error), and is only more noise of the residual.
+A prediction from noisy speeds contains their noise, so a fit underestimates the effect (attenuation), in hover by several
+times. A prediction from the *expected* speed, given all measurements, has no such bias. The error of the expectation is
+independent of it (Berkson's error) and only adds residual noise.
 
-The expectation is that of stationary signals: of what was measured, motion and white noise of the sensor, a frequency keeps
-the share ``1 - N / P`` of noise N in the density P, for each force and torque that the rotors make together. The level of the
-noise is that where the spectrum is lowest above the band of the comparison: white noise is nowhere more than the whole. Where
-a vehicle moves, the share is nearly one, and speeds stay as they were measured; in hover most of their scatter goes. Where
-noise is more than motion, what commands lead to by the declared lag tells more of the motion than the sensor: there the share
-is that of what was measured beside it. (Elsewhere it would not do: a lag that is wrong by a little is no noise.) How large
-the share is, is itself known only as well as a spectrum of that length tells: what it leaves unsure is a tolerance of the
-comparison, beside those of the vehicle.
+Signals are taken as stationary, with white sensor noise. At each frequency the expectation keeps the share ``1 - N / P``
+of noise N in the density P, for each force and torque of the rotors. N is the lowest density above the comparison band.
+In motion the share is nearly 1; in hover most of the scatter is removed. If noise exceeds motion, the declared lag driven
+by the commands predicts more than the sensor, and the share applies to the difference from it. (Otherwise a slight error
+of the lag would not be noise.) The uncertainty of the share is a tolerance of the comparison.
 
 Letters: T rows, R rotors and as many modes of theirs, L lines of a spectrum.
 
@@ -40,40 +37,40 @@ from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rows.spectra import density_of, filtered, noise_above, segment_length
 
 ORDER = (2, 3, 4, 5, 0, 1)
-"""Forces and torques in the order in which combinations of rotors are found that make them: thrust, roll, pitch, yaw, then the
-forces along x and y, which flat vehicles lack."""
+"""Order of forces and torques in the construction of rotor modes: thrust, roll, pitch, yaw, then forces along x and y,
+which flat vehicles lack."""
 
 MOTION = np.geomspace(1e-3, 1e6, 91)
-"""Densities of motion over that of noise that are thought of before a flight is seen, equally probable."""
+"""Prior grid of the ratio of motion density to noise density, with equal probabilities."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RotorEstimate:
-    """Rotor speeds of a flight, as their sensors would read them without noise."""
+    """Expected noise-free sensor readings of a flight's rotor speeds."""
 
     speed: Array
-    """Their expectation [rad/s], (T, R)."""
+    """Expectation [rad/s], (T, R)."""
 
     unsure: Array
-    """What one standard deviation of the share of motion in a mode would add [rad/s], (R modes, T, R)."""
+    """Change of speed per standard deviation of each mode's share of motion [rad/s], (R modes, T, R)."""
 
 
 def as_measured(flight: Flight) -> RotorEstimate | None:
-    """Return the speeds as they were measured, noise and all."""
+    """Return the measured speeds unchanged; None without any."""
     if flight.rotor_speed is None:
         return None
     return RotorEstimate(speed=flight.rotor_speed, unsure=np.zeros((flight.num_rotors, *flight.rotor_speed.shape)))
 
 
 def estimate_rotors(robot: RobotCfg, flights: Sequence[Flight], bandwidth: float) -> list[RotorEstimate | None]:
-    """Return the expected rotor speeds of each flight.
+    """Return the expected rotor speeds of each flight, None without measured speeds.
 
-    None for a flight without measured speeds. Speeds of a log that is too slow to tell the noise stay as they are.
+    Speeds stay as measured if the log is too slow to show the noise.
 
     Args:
-        robot: As declared.
-        flights: With what was measured.
-        bandwidth: Of the comparison [Hz].
+        robot: Declared robot.
+        flights: Measured flights.
+        bandwidth: Bandwidth of the comparison [Hz].
     """
     model = rotors_of(robot)
     led = RotorReplay(flights).speeds(model, 0.0, model.effects[RotorSensorEffect])
@@ -83,7 +80,7 @@ def estimate_rotors(robot: RobotCfg, flights: Sequence[Flight], bandwidth: float
 
 
 def rotors_of(robot: RobotCfg) -> Model:
-    """Return the declared vehicle with those of its effects that change how rotors follow commands."""
+    """Return the declared vehicle with only those effects that change the rotors' response to commands."""
     kinds = (VehicleEffect, DelayEffect, CommandEffect, RotorSensorEffect)
     effects = {
         name: params for name, params in declared_params(robot).effects.items() if isinstance(EFFECTS.get(name), kinds)
@@ -93,13 +90,13 @@ def rotors_of(robot: RobotCfg) -> Model:
 
 
 def _estimate(flight: Flight, led: Array | None, made: Array, bandwidth: float) -> RotorEstimate | None:
-    """Return the expected speeds of a flight, None where there are none or the log is too slow to tell the noise.
+    """Return the expected speeds of a flight; None without speeds or if the log is too slow to show the noise.
 
     Args:
-        flight: With what was measured.
-        led: What commands lead to [rad/s], (T, R); None without commands.
-        made: Force and torque that the rotors make, (6, R).
-        bandwidth: Of the comparison [Hz].
+        flight: Measured flight.
+        led: Rotor speeds replayed from commands [rad/s], (T, R); None without commands.
+        made: Matrix from rotor thrusts to force and torque, (6, R).
+        bandwidth: Bandwidth of the comparison [Hz].
     """
     speed, rate = flight.rotor_speed, flight.rate
     if speed is None:
@@ -116,7 +113,7 @@ def _estimate(flight: Flight, led: Array | None, made: Array, bandwidth: float) 
     if led is not None:
         density = density_of(moved, rate)[1]
         in_band = density[(frequency > 0.0) & (frequency <= bandwidth)].mean(axis=0)
-        noisy = in_band - 1.0 < 1.0  # motion is less than noise, which is 1 here
+        noisy = in_band - 1.0 < 1.0  # motion below noise, which is 1 here
         around[:, noisy] = ((led - base) / root @ modes)[:, noisy]
         moved = moved - around
     density, segments = density_of(moved, rate)[1], _segments(len(speed), rate)
@@ -131,12 +128,12 @@ def _estimate(flight: Flight, led: Array | None, made: Array, bandwidth: float) 
 
 
 def _modes(made: Array) -> Array:
-    """Return orthonormal combinations of rotors, (R, R): one for each force and torque, then those that make none."""
+    """Return orthonormal rotor modes, (R, R): one per force and torque, then those without any."""
     return np.linalg.qr(made[list(ORDER)].T, mode="complete")[0]
 
 
 def _segments(rows: int, rate: float) -> float:
-    """Return over how many independent segments Welch's mean is: half-overlapping Hann windows count 9/11 each.
+    """Return the effective number of independent segments in Welch's mean: half-overlapping Hann windows count 9/11.
 
     Source: Welch (1967), The use of fast Fourier transform for the estimation of power spectra, IEEE Transactions on Audio and
     Electroacoustics 15 (variance 11/9 of that of as many independent segments).
@@ -145,11 +142,11 @@ def _segments(rows: int, rate: float) -> float:
 
 
 def _share_of_motion(density: Array, segments: float, unsure: float) -> tuple[Array, Array]:
-    """Return the share of motion in each line (L,) of a density in which that of the noise is 1, and its standard deviation.
+    """Return the share of motion in each line (L,) of a density with noise 1, and its standard deviation.
 
-    That of motion falls with frequency: lines that rise are one level (isotonic regression). A level over so many lines and
-    segments scatters by itself (as chi-squared); of what it may be made of, the expected share is taken. ``unsure`` is the
-    relative standard deviation of the noise.
+    The density of motion falls with frequency, so rising lines are pooled (isotonic regression). Each pooled level has a
+    chi-squared distribution; the result is the posterior mean over ``MOTION``. ``unsure``: relative standard deviation of the
+    noise level.
     """
     falling = isotonic_regression(density, increasing=False)
     lines = np.diff(falling.blocks)

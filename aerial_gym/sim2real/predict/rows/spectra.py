@@ -1,4 +1,4 @@
-"""How the scatter of signals of a flight is spread over frequencies, where it is quietest, and filters without phase.
+"""Spectral densities of flight signals, their noise level and zero-phase filters.
 
 Letters: T rows, L lines of a spectrum, K columns.
 """
@@ -13,32 +13,32 @@ SEGMENT_S = 2.0
 """Length of a segment of Welch's spectrum [s]."""
 
 OCTAVE = 2.0
-"""Width of the bands of which the quietest gives the noise."""
+"""Frequency ratio of the bands among which the quietest gives the noise."""
 
 FROM_BAND, TO_BAND = 1.5, 6.0
-"""They lie between these multiples of the bandwidth: near it, for a log that was resampled has less noise far above it."""
+"""Range of these bands in bandwidths; near the band, as resampled logs have less noise far above it."""
 
 TO_RATE = 0.45
-"""And below this share of the rate."""
+"""Upper limit of these bands as a share of the rate."""
 
 
 def segment_length(rows: int, rate: float) -> int:
-    """Return how many rows a segment has."""
+    """Return the number of rows per segment."""
     return min(rows, round(SEGMENT_S * rate))
 
 
 def density_of(values: Array, rate: float) -> tuple[Array, Array]:
-    """Return the frequencies [Hz], (L,), and the density of each column (T, any) there, level for white noise."""
+    """Return the frequencies [Hz], (L,), and the density of each column (T, any), flat for white noise."""
     length = segment_length(len(values), rate)
     frequency, density = welch(values, rate, length)
     return frequency, density / _seen_without_line(length)[:, None]
 
 
 def _seen_without_line(length: int) -> Array:
-    """Return what is seen of white noise in each line of a segment, (L,), when the straight line through it is taken out.
+    """Return the gain of Welch's density for white noise, (L,), reduced by the removal of straight lines.
 
-    Derived: of a row x of white noise, line k is ``v_k (x - P x)``, P the projection on straight lines, v_k the windowed wave;
-    its mean square is ``|v_k - P v_k|² = |v_k|² - |P v_k|²``.
+    For white noise x, line k is ``v_k (x - P x)`` with the projection P on straight lines and the windowed wave v_k. Its mean
+    square is ``|v_k - P v_k|² = |v_k|² - |P v_k|²``.
     """
     window = hann(length)
     place = np.arange(length) - 0.5 * (length - 1)
@@ -47,10 +47,9 @@ def _seen_without_line(length: int) -> Array:
 
 
 def noise_above(frequency: Array, density: Array, bandwidth: float, rate: float) -> tuple[Array, float] | None:
-    """Return the level of the noise of each column, (K,), and how many lines it is the mean of at least.
+    """Return the noise density of each column, (K,), and the least number of lines in its mean; None for a slow log.
 
-    The mean density of the quietest octave above a band [Hz]: white noise is nowhere more than the whole. None where the log
-    has no octave there.
+    It is the mean density of the quietest octave above the band [Hz], since white noise nowhere exceeds the total.
     """
     low, high = FROM_BAND * bandwidth, min(TO_BAND * bandwidth, TO_RATE * rate)
     places = np.flatnonzero((frequency >= low) & (OCTAVE * frequency <= high))
@@ -61,7 +60,7 @@ def noise_above(frequency: Array, density: Array, bandwidth: float, rate: float)
 
 
 def filtered(values: Array, frequency: Array, gain: Array, rate: float) -> Array:
-    """Return columns (T, R) with a gain (L, R) at each frequency, without phase."""
+    """Return columns (T, R) filtered with a gain (L, R) by frequency, without phase shift."""
     mirrored = np.concatenate((values, values[::-1]))
     at = fft.rfftfreq(len(mirrored), 1.0 / rate)
     gains = np.stack([np.interp(at, frequency, one) for one in gain.T], axis=1)

@@ -1,4 +1,4 @@
-"""Predictions for flights whose rows are evaluated at once: what stands in a model from row to row is worked out once.
+"""Batched predictions for several flights, with intermediate results cached between models.
 
 Letters: E rows, T rows kept, R rotors, N tolerances.
 """
@@ -50,48 +50,48 @@ from aerial_gym.sim2real.predict.rows.in_band import InBand
 from aerial_gym.sim2real.predict.tolerances import Sensed, Tolerances, command_shift, deviate, joint_start, sensed
 
 Columns = list[Array]
-"""Channels, each (rows kept,): predictions that differ in some share the others."""
+"""Channel columns, each (rows kept,); different predictions may share some."""
 
 CONDITIONS = 4
-"""Conditions kept: those of the present model, of the body and at its hubs, and of one that differs from it."""
+"""Number of cached conditions: of the present model, at body and hubs, and of a changed model."""
 
 REPLAYS = 3
-"""Rotor speeds that are kept in the band."""
+"""Number of cached rotor speeds in the band."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Asked:
-    """A model whose prediction is asked for."""
+    """A model with the inputs of its prediction."""
 
     model: Model
     """One environment."""
 
     deviation: Tensor
-    """Within the tolerances, in standard deviations, (N,)."""
+    """Deviations in standard deviations, (N,)."""
 
     logged: Sensed
-    """What it does to what is logged."""
+    """Sensor errors of these deviations."""
 
     speeds: list[Array | None] | None
-    """Where commands lead the rotors in each flight [rad/s], (T, R); None where nothing asks for it."""
+    """Rotor speeds from commands of each flight [rad/s], (T, R); None if not needed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Hanging:
-    """What a load hangs on along the flights: a model without it."""
+    """Motion of the load's suspension along the flights, from a model without the load."""
 
     key: tuple[object, ...]
     speeds: list[Array | None] | None
     suspension: Suspension
     missed: list[Array] | None
-    """Specific force that this model leaves unexplained [m/s²], world, (rows, 3) of each flight; None: none was measured."""
+    """Specific force residual of this model [m/s²], world, (rows, 3) per flight; None if not measured."""
 
 
 class Together:
-    """Predictions for flights whose rows are evaluated at once."""
+    """Predictions for a batch of flights."""
 
     def __init__(self, robot: RobotCfg, declared: Vehicle, data: Dataset, tolerances: Tolerances) -> None:
-        """Take the declared robot, the same as a vehicle of one environment, the flights and the tolerances."""
+        """Store the robot, its vehicle of one environment, the flights and the tolerances."""
         self.data, self.tolerances, self._declared = data, tolerances, declared
         self._replay = RotorReplay(data.flights)
         self._load_replay = LoadReplay(data.flights, data.row_times)
@@ -106,7 +106,7 @@ class Together:
 
     @torch.inference_mode()
     def predict(self, params: ModelParams) -> list[Columns]:
-        """Return the predicted channels of each flight; not to be written to."""
+        """Return the predicted channels of each flight; read-only."""
         asked = self._asked(params)
         kinds = dict.fromkeys(channel.kind for channel in self.data.channels)
         rows = self._rows(asked) if kinds.keys() - {"rotor_speed"} else {}
@@ -126,7 +126,7 @@ class Together:
 
     @torch.inference_mode()
     def links(self, params: ModelParams) -> list[Link]:
-        """Return how the load swings along each flight."""
+        """Return the state of the load's link along each flight."""
         asked = self._asked(params)
         model = self._flown(asked)
         hanging = self._hanging(model, self._condition(model, asked), self._remembered(model, asked), asked)
@@ -136,7 +136,7 @@ class Together:
         ]
 
     def _asked(self, params: ModelParams) -> _Asked:
-        """Return the model of one environment, with what stands around it in every row, and where commands lead its rotors."""
+        """Return the model in one environment with its deviations, its scene in every row and the commanded rotor speeds."""
         vehicle, deviation = self._declared, self._nothing
         if params.deviation is not None:
             deviation = torch.from_numpy(params.deviation)
@@ -149,7 +149,7 @@ class Together:
         return _Asked(model=model, deviation=deviation, logged=sensed(self.tolerances, deviation), speeds=speeds)
 
     def _rows(self, asked: _Asked) -> dict[str, Columns]:
-        """Return what the inertial sensors would read in the band, three columns (T,) by kind."""
+        """Return the inertial sensor readings in the band, three columns (T,) by kind."""
         flown = self._flown(asked)
         remembered = self._remembered(flown, asked)
         model, hubs = with_memory(flown, remembered), None
@@ -173,7 +173,7 @@ class Together:
         return self._imu.read(model, felt, asked.logged, noise * self._seeming() if noise.any() else None)
 
     def _seeming(self) -> Tensor:
-        """Return one standard deviation of what noise in step with the torque seems to add to it [rad/s²], body, (T, 3)."""
+        """Return the standard deviation of the apparent angular acceleration by correlated noise [rad/s²], body, (T, 3)."""
         if self._in_step is None:
             data, turning = self.data, np.stack(self._rows(self._asked(self._params))["angular_acceleration"], axis=1)
             parts = []
@@ -184,7 +184,7 @@ class Together:
         return self._in_step
 
     def _hanging(self, model: Model, condition: Condition, remembered: dict[str, Tensor], asked: _Asked) -> _Hanging:
-        """Return what a load of any parameters hangs on, the same as before where nothing else of the model has changed."""
+        """Return the motion of the load's suspension, reused unless another part of the model has changed."""
         rows = (*asked.model.vehicle.rows().values(), asked.deviation)
         others = [params for effect, params in asked.model.effects if not isinstance(effect, LoadEffect)]
         names = [effect.name for effect, _ in asked.model.effects]
@@ -197,7 +197,7 @@ class Together:
         found = accelerations(alone, state, remembered=remembered, condition=condition, answers=self._forces)
         missed, force = None, found.specific_force
         acceleration = quat_rotate(attitude, force) - model.gravity * force.new_tensor((0.0, 0.0, 1.0))
-        if self.data.force is not None:  # as measured
+        if self.data.force is not None:
             if model.effects[ImuEffect]:
                 force = torch.where(self.data.felt_force, imu_of(model)[0].of(force), force)
             force = self.data.force - force - asked.logged.acc_bias * self.data.felt_force
@@ -214,7 +214,7 @@ class Together:
         return torch.cat((quat_rotate_inverse(attitude, force), torque), dim=-1)
 
     def _remembered(self, model: Model, asked: _Asked) -> dict[str, Tensor]:
-        """Return what effects on rotors and body remember in every row, (E, M), by effect, followed at the rate of the log."""
+        """Return the memory of effects on rotors and body in every row, (E, M), by effect, replayed at the log's rate."""
         settled = joint_start(self.tolerances, asked.deviation)
         along = remembered_along(model, self.data.flights, asked.speeds, self._memories, settled=settled)
         return {
@@ -228,9 +228,9 @@ class Together:
         return with_known_wind(model, self.data.flights, self.data.flight)
 
     def _state(self, asked: _Asked) -> dict[str, Tensor]:
-        """Return the motion in every row on the clock of the rotor speeds, with the attitude of the body.
+        """Return the motion in every row on the rotor speeds' clock, with the true body attitude.
 
-        The logged one may be turned against it, and be late, as the velocity may.
+        Misalignment and delay of the logged attitude and the velocity's delay are corrected.
         """
         found, logged = dict(self.data.state), asked.logged
         *_, attitude, velocity = self._imu.clock(logged)
@@ -245,7 +245,7 @@ class Together:
         return found
 
     def _condition(self, model: Model, asked: _Asked, *, at_origin: bool = False) -> Condition:
-        """Return what the effects of a model see in every row; ``at_origin``: those at hubs (``condition_at_origin``)."""
+        """Return the motion seen by a model's effects in every row; ``at_origin``: at hubs (``condition_at_origin``)."""
         motion = asked.logged.rotor_motion
         speeds = asked.speeds if self.data.speed is None else None
         pose_late = motion.new_tensor(self._imu.clock(asked.logged)[3:])
@@ -267,7 +267,7 @@ class Together:
     def _turning(self, model: Model, speeds: list[Array | None] | None, motion: Tensor) -> tuple[Tensor, Tensor]:
         """Return true rotor speeds [rad/s] and their accelerations [rad/s²] in every row, (E, R).
 
-        ``motion`` (R,): how many standard deviations more than expected the rotors moved in each mode.
+        ``motion`` (R,): deviation of each mode's motion from its expectation, in standard deviations.
         """
         data = self.data
         if data.speed is None or data.spin_up is None or data.unsure_speed is None or data.unsure_spin_up is None:
@@ -285,7 +285,7 @@ class Together:
         return speed, spin_up
 
     def _slow_speeds(self, speeds: list[Array | None], late: float) -> Columns:
-        """Return the rotor speeds of all flights in the band, so many seconds late."""
+        """Return the rotor speeds of all flights in the band with a delay [s]."""
         for place, (before, seconds, found) in enumerate(self._replayed):
             if before is speeds and seconds == late:
                 self._replayed.insert(0, self._replayed.pop(place))
@@ -301,7 +301,7 @@ class Together:
 
 
 def _seen_by_condition(model: Model, *, at_origin: bool) -> tuple[object, ...]:
-    """Return what of a model changes the motion that its effects see, rotor speeds that follow commands aside."""
+    """Return a hashable key of the model parts that change the motion seen by effects, except commanded rotor speeds."""
     names = [name for name in MOVES_OF_VEHICLE if not at_origin or name != "com"]
     of_vehicle = [getattr(model.vehicle, name)[0].numpy().tobytes() for name in names]
     effects = [*model.effects[WindEffect], *model.effects[RotorSensorEffect]]
