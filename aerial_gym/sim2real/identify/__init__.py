@@ -1,1 +1,1 @@
-"""What fits to flights: effects, tolerances, the battery, a learned remainder."""
+"""Identification from flights: effects, tolerances, battery and learned residual."""

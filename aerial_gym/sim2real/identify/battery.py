@@ -1,4 +1,4 @@
-"""The battery of a robot whose file gives none, as far as flights show it: enough to find and to simulate its sag.
+"""Estimation of a battery from flights, for a robot file without one, sufficient to simulate its voltage sag.
 
 Letters: F flights, B blocks of time of all flights.
 """
@@ -20,28 +20,27 @@ from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.statistics import line_through
 
 BLOCK_S = 0.5
-"""Span of one mean [s]."""
+"""Averaging time [s]."""
 
 SURE = 1e-3
-"""Largest probability that a slope of speed over voltage is chance."""
+"""Largest p-value of a significant slope of speed over voltage."""
 
 SIGNIFICANT_DIGITS = 6
 
 PASSES = 3
-"""Speeds are replayed with the sag found before: it is a mean over the lag that is compared with a mean of the voltage."""
+"""Number of replays with the last sag estimate, so that speed and voltage means include the same lag."""
 
 FARTHEST = 1.2
-"""A nominal voltage is not sought further from the voltages seen than by this factor."""
+"""Largest ratio of the nominal voltage to the range of measured voltages."""
 
 
 def with_battery(robot: RobotCfg, flights: Sequence[Flight]) -> RobotCfg:
-    """Return the robot with a battery estimated from flights, or as it is where its file gives one or flights show none.
+    """Return the robot with a battery estimated from flights; unchanged if its file has one or the flights show none.
 
-    Three things are fitted. Charge and load: ``V = E_f - k q - r I`` with a voltage E of its own for each flight, the current
-    ``I = P / V`` of the rotors' mechanical power P (efficiency 1: r and capacity are those that this current sees) and the
-    charge q drawn since the flight began. Full is the highest E, empty the lowest open voltage that a flight comes to. Nominal
-    is the voltage at which a straight line through measured over replayed rotor speeds reaches 1; where no line stands out,
-    or speeds are not measured, the highest voltage seen.
+    Charge and load are fitted by ``V = E_f - k q - r I``. E is the initial voltage of each flight, ``I = P / V`` the current
+    for the rotors' mechanical power P at efficiency 1, and q the charge since the start. Full voltage is the highest E, empty
+    the lowest open-circuit voltage. Nominal is the voltage at which the fitted ratio of measured to replayed rotor speed is 1.
+    Without a significant slope, or measured speeds, it is the highest measured voltage.
     """
     sag = EFFECTS.get("battery_sag")
     if robot.battery is not None or missing_in_logs(sag, flights) or too_steady(sag, flights):
@@ -56,13 +55,13 @@ def with_battery(robot: RobotCfg, flights: Sequence[Flight]) -> RobotCfg:
 
 
 def _flying(flight: Flight) -> Flags:
-    """Return the blocks in which the vehicle never stands, (blocks,)."""
+    """Return the blocks without rows on the ground, (blocks,)."""
     stood = np.zeros(flight.num_rows) if flight.on_ground is None else flight.on_ground.astype(np.float64)
     return _block_means(stood, flight.rate)[:, 0] == 0.0
 
 
 def _block_means(values: Array, rate: float) -> Array:
-    """Return the means of whole blocks of time, (blocks, any)."""
+    """Return the means over complete time blocks, (blocks, any)."""
     length = max(1, round(BLOCK_S * rate))
     count = len(values) // length
     return values[: count * length].reshape(count, length, -1).mean(axis=1)
@@ -74,7 +73,7 @@ def _voltage(flight: Flight) -> Array:
 
 
 def _discharge(robot: RobotCfg, flights: Sequence[Flight]) -> dict[str, float]:
-    """Return full and empty voltage, resistance and capacity that charge and load show."""
+    """Return full and empty voltage, internal resistance and capacity, fitted to charge and load."""
     tables = []
     for number, flight in enumerate(flights):
         current = _power(robot, flight) / _voltage(flight)
@@ -97,14 +96,14 @@ def _discharge(robot: RobotCfg, flights: Sequence[Flight]) -> dict[str, float]:
 
 
 def _power(robot: RobotCfg, flight: Flight) -> Array:
-    """Return the mechanical power of the rotors [W], (T,), at measured or else at commanded speeds."""
+    """Return the mechanical rotor power [W], (T,), at measured or else commanded speeds."""
     rotor = flight.rotor_command if flight.rotor_speed is None else flight.rotor_speed
     assert rotor is not None
     return (drag_torques(robot, rotor) * rotor).sum(axis=1)
 
 
 def _nominal_voltage(robot: RobotCfg, flights: Sequence[Flight]) -> tuple[float, str]:
-    """Return the voltage at which rotors reach the commanded speeds [V], and how it was found."""
+    """Return the voltage at which rotors reach the commanded speeds [V], and its source in words."""
     highest = max(float(_block_means(_voltage(flight), flight.rate).max()) for flight in flights)
     guess = highest, "the highest voltage seen"
     if any(flight.rotor_speed is None for flight in flights):
@@ -123,7 +122,7 @@ def _nominal_voltage(robot: RobotCfg, flights: Sequence[Flight]) -> tuple[float,
 
 
 def _speed_ratios(robot: RobotCfg, flights: Sequence[Flight], gain: float, nominal: float) -> tuple[Array, Array]:
-    """Return voltage [V] and measured over replayed rotor speed with a sag in the replay, means over blocks, each (B,)."""
+    """Return block means of voltage [V] and of measured over replayed rotor speed with a given sag, (B,) each."""
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
     vehicle = replace(vehicle, battery=torch.full_like(vehicle.battery, nominal))  # a sag needs no other number
     model = build_model(vehicle, [(EFFECTS.get("battery_sag"), torch.tensor([[gain]], dtype=torch.float64))])

@@ -1,8 +1,8 @@
-"""What no named effect explains, learned by a small network: fitted last, judged by flights left out like every effect.
+"""Learned residual: a small network for forces without a known effect, accepted only by left-out flights.
 
-It learns specific force and angular acceleration that remain, times mass and inertia, from what the body feels. Errors of the
-inertial sensors that turn their axes are left out of this: second order.
-Letters: T rows of all flights, B blocks of time, C channels, D inputs, O outputs that the flights show, H hidden units.
+It predicts the remaining specific force and angular acceleration, times mass and inertia, from the felt motion. Rotation of
+the inertial sensors' axes is neglected, as a second-order effect.
+Letters: T rows of all flights, B time blocks, C channels, D inputs, O outputs in the flights, H hidden units.
 """
 
 from collections.abc import Sequence
@@ -31,57 +31,57 @@ HIDDEN = 16
 """Units H of the one hidden layer."""
 
 DECAYS = (1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
-"""Weight decays that are tried: per squared weight, beside a mean square of order one."""
+"""Tested weight decays, per squared weight relative to a mean square of order one."""
 
 STEPS = 200
-"""Most iterations of L-BFGS."""
+"""Largest number of L-BFGS iterations."""
 
 LEAST_SHARE = 0.1
-"""Outputs of which it does not take this share of the mean square, on flights left out, stay zero: noise spoils the rest."""
+"""Least explained share of an output's mean square on left-out flights; otherwise the output is zero."""
 
 TAIL = 0.01
-"""Share of the training rows beyond each end of an input's range, and beyond the distance of full trust."""
+"""Share of training rows outside each input limit, and outside the distance of full trust."""
 
 RIDGE = 1e-2
-"""Added to the covariance of standardised inputs: what hardly varied may vary by a tenth of the rest."""
+"""Added to the covariance of standardised inputs, so that nearly constant ones may vary by a tenth."""
 
 DIGITS = 6
-"""Significant digits of the numbers in the robot file: float32 has seven."""
+"""Significant digits in the robot file; float32 has seven."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Learned:
-    """What became of the wish for a learned residual."""
+    """Result of the training of a learned residual."""
 
     cfg: LearnedResidualCfg | None
-    """For the robot file; None if it is not added."""
+    """Network for the robot file; None if rejected."""
 
     objections: tuple[Finding, ...]
-    """Reasons why not; empty if it is added."""
+    """Reasons for the rejection; empty if accepted."""
 
     gain: Gain | None = None
-    """Over the named effects on training flights left out."""
+    """Improvement over the named effects on left-out training flights."""
 
     decay: float = 0.0
-    """Weight decay that predicts flights left out best."""
+    """Weight decay with the least error on left-out flights."""
 
     gaps: dict[str, float | None] = field(default_factory=dict)
-    """Share of each channel's mean square above the noise floor that it takes on the test flights; None: there is none."""
+    """Explained share of each channel's mean square above the noise floor on test flights; None without an excess."""
 
     rows: int = 0
-    """Compared rows of the test flights."""
+    """Number of compared rows of the test flights."""
 
     rows_outside: int = 0
-    """Those of them that lie outside its training data."""
+    """Number of these rows outside the training data."""
 
     @property
     def effect(self) -> LearnedResidual | None:
-        """Return it as the simulator uses it."""
+        """Return the effect for the simulator; None if rejected."""
         return None if self.cfg is None else LearnedResidual(self.cfg)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Return whether it was added, and its shares or the objections."""
+        """Return the findings on acceptance with shares, or on rejection with reasons."""
         if self.cfg is None:
             return (refusal("learned_refused", LearnedResidual.name, self.objections),)
         rows = {"rows": self.rows, "rows_outside": self.rows_outside}
@@ -89,7 +89,7 @@ class Learned:
         return Finding("learned_added", LearnedResidual.name, rows), Finding("learned_share", "", shares)
 
     def as_mapping(self) -> dict[str, object]:
-        """Return it for JSON, as an effect without parameters."""
+        """Return the values for JSON, as an effect without parameters."""
         return {
             "name": LearnedResidual.name,
             "params": {},
@@ -106,13 +106,13 @@ class Learned:
 
 
 def train_residual(predictor: Predictor, params: ModelParams, left_out: LeftOut, *, seed: int = 0) -> Learned:
-    """Return a network for what a model leaves of the training flights, unless it does not predict flights left out better.
+    """Return a network for the residual of the training flights, or its rejection if left-out flights do not improve.
 
     Args:
-        predictor: Of the training flights.
-        params: The model with its named effects.
-        left_out: Of the same flights: what is left out together, and what counts as better.
-        seed: Of the first weights.
+        predictor: Predictor of the training flights.
+        params: Model with its named effects.
+        left_out: Cross-validation of the same flights, with its folds and acceptance rule.
+        seed: Seed of the initial weights.
 
     Raises:
         ConfigError: If the robot file already has a learned residual.
@@ -140,7 +140,7 @@ def train_residual(predictor: Predictor, params: ModelParams, left_out: LeftOut,
 
 
 def judge_on_test(learned: Learned, predictor: Predictor, params: ModelParams, floor: Array | None) -> Learned:
-    """Return what a learned residual takes of the gap that a model without it leaves on the test flights."""
+    """Return the result with the share of the test flights' excess error that the learned residual removes."""
     if learned.effect is None:
         return learned
     less, more = (
@@ -179,18 +179,18 @@ class _Layers:
         return network(inputs, [(self.weights, self.bias)], (self.output, self.offset))
 
     def flat(self) -> Tensor:
-        """Return all numbers in a row."""
+        """Return all numbers as a vector."""
         return torch.cat([part.flatten() for part in vars(self).values()])
 
     def from_flat(self, numbers: Tensor) -> "_Layers":
-        """Return layers of the same shapes with other numbers."""
+        """Return layers of the same shapes from a vector."""
         shapes = [part.shape for part in vars(self).values()]
         parts = numbers.split([shape.numel() for shape in shapes])
         return _Layers(*(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)))
 
 
 class _Trainer:
-    """The rows of the training flights, standardised."""
+    """Standardised rows of the training flights, and fits on them."""
 
     def __init__(self, predictor: Predictor, params: ModelParams, left_out: LeftOut, seed: int) -> None:
         self._predictor, self._point, self._left_out, self._seed = predictor, params, left_out, seed
@@ -208,12 +208,12 @@ class _Trainer:
         self._fold = np.repeat(left_out.fold, self._count)
 
     def keep(self, chosen: Flags) -> None:
-        """Leave all other outputs at zero."""
+        """Restrict the network to the chosen outputs; others stay zero."""
         self.outputs = [k for k, kept in zip(self.outputs, chosen, strict=True) if kept]
         self._size, self._targets = self._size[chosen], self._targets[:, torch.from_numpy(chosen)]
 
     def train(self, decay: float, leave: int | None = None) -> _Layers:
-        """Return the layers that fit all rows, or all but those of one fold, best."""
+        """Return the layers of least loss on all rows, or without those of one fold."""
         kept = torch.from_numpy(self._fold != leave)
         inputs, targets = self._inputs[kept], self._targets[kept]
         width, outputs = inputs.shape[1], targets.shape[1]
@@ -237,7 +237,7 @@ class _Trainer:
         return start.from_flat(torch.from_numpy(found.x))
 
     def best_decay(self) -> tuple[float, Array]:
-        """Return the decay that predicts flights left out best, and what share of each mean square is then left, (O,)."""
+        """Return the decay with the least error on left-out flights, and the relative mean squares there, (O,)."""
         errors = {decay: self._left_out_errors(decay) for decay in DECAYS}
         best = min(DECAYS, key=lambda decay: np.minimum(errors[decay], 1.0).sum())
         return best, errors[best]
@@ -251,7 +251,7 @@ class _Trainer:
         return squares / self._targets.square().sum(dim=0).numpy()
 
     def gain(self, decay: float) -> Gain:
-        """Return what networks gain on folds that they have not seen, in the simulator's own prediction of them."""
+        """Return the gain on left-out folds, from the simulator's prediction with networks not trained on them."""
         found = self._residual.copy()
         for leave in np.unique(self._fold):
             effect = LearnedResidual(self.cfg_of(self.train(decay, int(leave))))
@@ -260,11 +260,11 @@ class _Trainer:
         return self._left_out.gain(self._squares(self._residual), self._squares(found))
 
     def _squares(self, residual: Array) -> Array:
-        """Return the sum of squares of each block, (B, C)."""
+        """Return the sums of squares of each block, (B, C)."""
         return np.add.reduceat(residual**2, np.concatenate(([0], np.cumsum(self._count)[:-1])), axis=0)
 
     def cfg_of(self, layers: _Layers) -> LearnedResidualCfg:
-        """Return layers that give standardised accelerations as a network for force and torque, with its bounds."""
+        """Return the network for force and torque, with its limits, from layers for standardised accelerations."""
         model = build_model(
             vehicle_from_config(self._predictor.robot, num_envs=1, dtype=torch.float64), effects_at(self._point, 1)
         )
@@ -286,7 +286,7 @@ class _Trainer:
         )
 
     def _whitening(self) -> Array:
-        """Return the matrix (D, D) that makes 1 of the distance beyond which a share ``TAIL`` of the rows lies."""
+        """Return the whitening matrix (D, D) for which the share ``TAIL`` of the rows has a norm above 1."""
         standard = (self._felt - self._centre) / self._scale
         covariance = standard.T @ standard / len(standard) + RIDGE * np.eye(standard.shape[1])
         white = np.linalg.inv(np.linalg.cholesky(covariance))

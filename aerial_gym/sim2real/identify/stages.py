@@ -20,27 +20,27 @@ from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress
 
 SIGNIFICANT_DIGITS = 6
-"""Of parameters in the corrected robot file."""
+"""Significant digits of parameters in the corrected robot file."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Declared:
-    """A declared robot beside flights."""
+    """A declared robot with its training and test flights."""
 
     stated: RobotCfg
-    """As its file says."""
+    """Robot as in its file."""
 
     robot: RobotCfg
-    """With a battery estimated from the training flights where the file gives none."""
+    """Robot with a battery estimated from the training flights if its file has none."""
 
     params: ModelParams
-    """The model that the file declares."""
+    """Model declared by the file."""
 
     train: Predictor
     test: Predictor
 
     asked_bandwidth: float
-    """[Hz]."""
+    """Requested bandwidth [Hz]."""
 
     @property
     def flights(self) -> tuple[Flight, ...]:
@@ -49,28 +49,28 @@ class Declared:
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """Return what is compared."""
+        """Return the compared channels."""
         return self.test.channels
 
     @property
     def bandwidth(self) -> float:
-        """Return below which frequency [Hz]: as asked, as far as the logs reach."""
+        """Return the comparison bandwidth [Hz]: the requested one, limited by the logs."""
         return self.test.bandwidth
 
     @property
     def tolerances(self) -> Tolerances:
-        """Return how well the robot is declared."""
+        """Return the standard deviations of the declared values."""
         return self.train.tolerances
 
 
 def declare(
     robot: RobotCfg, train: Sequence[Flight], test: Sequence[Flight], *, bandwidth: float, tolerances: Tolerances
 ) -> Declared:
-    """Return a robot beside flights to train and to test on.
+    """Return a robot with its training and test flights, ready for comparison.
 
     Raises:
         ConfigError: If the robot cannot be compared with flights.
-        DataError: If the flights lack what it declares, or have nothing in common.
+        DataError: If the flights lack a quantity for a declared effect, or share no channel.
     """
     check_effects(robot)
     flights, powered = [*train, *test], with_battery(robot, train)
@@ -86,7 +86,7 @@ def declare(
 def select(
     declared: Declared, criteria: Criteria, progress: Progress, *, candidates: Sequence[str] | None = None
 ) -> SelectionResult:
-    """Return the effects that the training flights ask for, among ``candidates`` if these are given."""
+    """Return the selection of effects from the training flights, among ``candidates`` if given."""
 
     def told(stage: str, share: float) -> None:
         progress(stage, 0.05 + 0.65 * share)
@@ -97,11 +97,11 @@ def select(
 
 
 def named_model(declared: Declared, selection: SelectionResult) -> ModelParams:
-    """Return the final model as the robot file holds it."""
+    """Return the final model as in the robot file."""
     return rounded(declared.robot, selection.final.fit.params, selection.accepted)
 
 
 def rounded(robot: RobotCfg, params: ModelParams, effects: Sequence[str]) -> ModelParams:
-    """Return parameters as the robot file will hold them."""
+    """Return the model with parameters rounded as in the robot file."""
     values = np.array([float(f"{value:.{SIGNIFICANT_DIGITS}g}") for value in params_of(params, effects)])
     return with_params(robot, params, effects, values)

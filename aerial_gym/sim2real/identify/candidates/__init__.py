@@ -1,1 +1,1 @@
-"""What may differ between a vehicle and its model, linear about a fitted model, and the structure of what remains."""
+"""Candidate effects, linearised about a fitted model, and residual structure without a known effect."""

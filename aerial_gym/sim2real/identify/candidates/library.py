@@ -1,4 +1,4 @@
-"""Every testable candidate around a fitted model, as sums over blocks of time: all that a linear selection needs.
+"""Library of all testable candidates, linearised about a fitted model, as sums over time blocks.
 
 Letters: B blocks, C channels, K columns (parameters of the candidates in units of their scale, then the tolerances).
 """
@@ -44,67 +44,67 @@ class Candidate:
     name: str
 
     named: bool
-    """Whether the selection accepted it."""
+    """Whether the selection has accepted it."""
 
     columns: Indices
-    """Its free parameters among the K columns."""
+    """Free parameters, as indices of the K columns."""
 
     low: Array
-    """Lowest steps from neutral, in units of the scale."""
+    """Lowest steps from neutral in units of the scale."""
 
     high: Array
-    """Highest."""
+    """Highest steps from neutral in units of the scale."""
 
     start: Array = field(default_factory=lambda: np.zeros(0))
-    """Its parameters where it is linearised, conventions and the number of its rotor among them."""
+    """All parameters at the linearisation, conventions and rotor number included."""
 
     structure: bool = False
-    """Whether it is no effect but a structure that none has."""
+    """Whether it is a residual structure rather than an effect."""
 
     of_flights: bool = False
-    """Whether it is a structure that is each flight's own."""
+    """Whether it is a structure specific to each flight."""
 
     @property
     def in_common(self) -> bool:
-        """Return whether it is a structure that flights have in common: a robot file would have to hold it, and cannot."""
+        """Return whether it is a structure common to all flights, which no robot file can represent."""
         return self.structure and not self.of_flights
 
 
 @dataclass(frozen=True, kw_only=True)
 class Library:
-    """Candidates about a model; the residual is that of the declared one, all candidates at neutral."""
+    """Candidates about a model; the residual is that with all candidates at neutral."""
 
     candidates: tuple[Candidate, ...]
     moments: Moments
-    """Of the residual with every candidate at neutral."""
+    """Sums with every candidate at neutral."""
 
     weight: Array
-    """What a row of each channel of the moments counts."""
+    """Weight of a row of each channel of the moments."""
 
     tolerances: Indices
-    """Places of the tolerances among the K columns."""
+    """Indices of the tolerances among the K columns."""
 
     tangents: list["Tangent"] = field(default_factory=list)
-    """Of the effects, in the order of the candidates."""
+    """Linearisations of the effects, in the order of the candidates."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tangent:
-    """How the prediction changes with the parameters of an effect."""
+    """Linearisation of the prediction in the parameters of one effect."""
 
     name: str
 
     named: bool
-    """Whether it was fitted in the model about which it is linear."""
+    """Whether the effect was fitted in that model."""
 
     start: Array
-    """All parameters, where it is linear, (P,)."""
+    """All parameters at the linearisation, (P,)."""
 
     columns: list[InChannels]
-    """By them, per scale, (rows, C, P) of each flight."""
+    """Derivatives by the parameters, per scale, (rows, C, P) of each flight."""
 
     def whole(self, channels: int) -> Derivatives:
-        """Return the columns with those of all C channels in which they are zero, (rows, C, P) of each flight."""
+        """Return the derivatives of all C channels, zeros included, (rows, C, P) of each flight."""
         return [part.of_channels(range(channels)) for part in self.columns]
 
 
@@ -115,7 +115,7 @@ def tangents_about(
     accepted: Sequence[str] = (),
     skipped: Collection[str] = (),
 ) -> list[Tangent]:
-    """Return those of all candidates about a model: of accepted effects at their fitted values, of any other one at neutral.
+    """Return the linearisations of all candidates: accepted effects at their fitted values, others at neutral.
 
     Arguments as for ``build_library``.
     """
@@ -123,7 +123,7 @@ def tangents_about(
     for name, params in origins(declared, present, accepted, skipped, predictor.robot):
         named = params is present
         columns = effect_jacobian(predictor, params, (name,), base if named else predictor.predict(params))
-        if all(np.isfinite(part).all() for part in columns):  # else a pendulum goes over the top of the present model
+        if all(np.isfinite(part).all() for part in columns):  # otherwise the load swings over the top in this model
             found.append(Tangent(name=name, named=named, start=params.effects[name], columns=where_moved(columns)))
     give_back_memory()
     return found
@@ -144,25 +144,25 @@ def build_library(
     by_channel: bool = False,
     parts: int = 1,
 ) -> Library:
-    """Return every candidate about a model that holds some of them.
+    """Return the library of all candidates about a model that contains some of them.
 
-    The derivatives of an accepted effect are those at its fitted values, and exact back to neutral; of any other one those at
-    neutral.
+    Derivatives of accepted effects are those at the fitted values, corrected to be exact back to neutral; those of others
+    are at neutral.
 
     Args:
-        predictor: Training flights.
+        predictor: Predictor of the training flights.
         declared: The declared model.
-        present: The model about which the candidates are linear.
-        accepted: Effects that were fitted in it.
-        weight: Of one row of each channel, (C,).
-        frozen: Parameters of accepted effects that the flights do not show; they stay as they are.
+        present: Model of the linearisation.
+        accepted: Effects fitted in the present model.
+        weight: Weight of one row of each channel, (C,).
+        frozen: Fixed parameters of accepted effects, which the flights do not determine.
         skipped: Effects that these flights cannot show.
-        structures: Gives the structures that compete with the effects, for the residuals of the present model and the
-            derivatives by each effect, (rows, C, any), at each of its starts.
-        tangents: Of all candidates about the present model, if they are known.
-        tolerance: Derivatives by the deviations, (rows, C, N), about a model near the present one; None: about this.
-        by_channel: Whether the moments are those of each channel and flight, without the weights; not with structures.
-        parts: In how many parts each flight is.
+        structures: Returns the competing structures for the present residuals and the derivatives by each effect,
+            (rows, C, any), at each of its starts.
+        tangents: Known linearisations of all candidates about the present model.
+        tolerance: Derivatives by the deviations, (rows, C, N), about a nearby model; None: computed here.
+        by_channel: Whether to return unweighted moments of each channel and flight; not with structures.
+        parts: Number of parts of each flight.
     """
     if tangents is None:
         tangents = tangents_about(predictor, declared, present, accepted, skipped)
@@ -222,7 +222,7 @@ def build_library(
 def origins(
     declared: ModelParams, present: ModelParams, accepted: Sequence[str], skipped: Collection[str], robot: RobotCfg
 ) -> list[tuple[str, ModelParams]]:
-    """Return each candidate with the model about which it is linear: the present one for an accepted effect."""
+    """Return each candidate with the model of its linearisation, the present one for accepted effects."""
     found = []
     for name in (name for name in EFFECTS if EFFECTS.get(name).is_selectable):
         if name in accepted:
@@ -236,14 +236,14 @@ def origins(
 
 
 def starts(name: str, params: ModelParams, declared: ModelParams, robot: RobotCfg) -> list[ModelParams]:
-    """Return the model with an effect where its fits start: at neutral, once for each rotor that it may act on."""
+    """Return the models in which fits of an effect start: at neutral, once for each start or rotor."""
     if name in declared.effects:
         return [params.with_effect(name, declared.effects[name])]
     return [params.with_effect(name, np.array(start)) for start in EFFECTS.get(name).starts(robot)]
 
 
 def has_starts(name: str, robot: RobotCfg) -> bool:
-    """Return whether fits of an effect start from several parameters."""
+    """Return whether fits of an effect have several starts."""
     return len(EFFECTS.get(name).starts(robot)) > 1
 
 
@@ -253,21 +253,21 @@ def has_rotor(name: str) -> bool:
 
 
 def neutral_of(name: str, declared: ModelParams, robot: RobotCfg) -> Array:
-    """Return the parameters with which an effect changes nothing: declared ones, else its neutral ones."""
+    """Return the parameters at which an effect changes nothing: declared ones, else its neutral values."""
     if name in declared.effects:
         return declared.effects[name]
     return np.array(EFFECTS.get(name).neutral(robot), dtype=float)
 
 
 def seen_candidates(library: Library) -> tuple[Candidate, ...]:
-    """Return the candidates without parameters that the flights leave unknown by more than their scale, accepted ones whole."""
+    """Return the candidates without weakly identifiable parameters (deviation above one scale); accepted ones are complete."""
     product = np.einsum("c,bckl->kl", library.weight, library.moments.product)
     found = []
     for candidate in library.candidates:
         if candidate.named or not candidate.columns.size:
             found.append(candidate)
             continue
-        # Without the accepted effects: beside one that it could replace it would not show.
+        # Accepted effects are omitted, since a candidate that could replace one would seem unidentifiable.
         columns = np.concatenate((candidate.columns, library.tolerances))
         precision = np.repeat((WEAK_PRIOR**-2, 1.0), (candidate.columns.size, library.tolerances.size))
         bread = np.linalg.inv(product[np.ix_(columns, columns)] + np.diag(precision))

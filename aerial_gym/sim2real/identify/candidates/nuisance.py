@@ -1,8 +1,8 @@
-"""Structure that no effect has, as nuisance columns of the model: a force that follows place, heading, time, or a tone.
+"""Residual structure without a known effect, as nuisance columns: functions of place, heading and so on, or a tone.
 
-A structure competes with effects by evidence, so that what only stands in for it loses against it; it corrects nothing and
-has no name that a robot file could hold. What an effect of the library can make is taken out of the structure that it
-would follow: there the structure is what imperfect laws leave, and not a rival of drag or of ground effect.
+A structure competes with effects by evidence, so an effect that merely imitates it loses. It corrects nothing and has no
+entry in a robot file. From functions that a known effect follows, the part that the effect can produce is removed. The
+rest represents errors of its law, and does not compete with drag or ground effect.
 
 Letters: T rows, C channels, F functions, S flights.
 """
@@ -33,64 +33,64 @@ from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.predictor import Predictor
 
 FORCES = ("specific_force", "kinematic_force")
-"""Kinds of channel in which an accelerometer is read."""
+"""Kinds of channel with accelerometer readings."""
 
 OF_FLIGHTS = "flight"
-"""Kind of what is each flight's own."""
+"""Kind of the offsets of single flights."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Nuisance:
-    """Columns of one kind in one channel."""
+    """Columns of one kind of structure in one channel."""
 
     kind: str
     """position, heading, velocity, voltage, time, periodic or flight."""
 
     channel: str
-    """Where; forces in world axes for position and heading."""
+    """Channel; forces are in world axes for position and heading."""
 
     columns: list[InChannels]
-    """(T, C, F) of each flight, F functions times the size."""
+    """F functions times ``size``, (T, C, F) of each flight."""
 
     size: float
-    """One unit, in units of the channel (rms): all that the declared model misses there, or how much flights differ."""
+    """RMS of one unit in the channel's unit: the declared model's residual, or the scatter between flights."""
 
     most: float = np.inf
-    """How large ``size`` can be, where it is how much flights differ."""
+    """Upper limit of ``size`` if it is the scatter between flights."""
 
     freq_hz: float | None = None
-    """Of a tone [Hz]."""
+    """Frequency of a tone [Hz]."""
 
     @property
     def of_flights(self) -> bool:
-        """Return whether it is each flight's own, and so of no vehicle: it says nothing against a set of effects."""
+        """Return whether it is an offset of single flights, which is no evidence against a set of effects."""
         return self.kind == OF_FLIGHTS
 
     @property
     def name(self) -> str:
-        """Return how it is called among the candidates."""
+        """Return the name among the candidates."""
         return f"{self.kind} in {self.channel}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Shape:
-    """A unit of structure in a channel, whatever the effects."""
+    """Unit of structure in a channel, before removal of effects."""
 
     kind: str
     channel: str
     size: float
     functions: list[Array]
-    """What varies, (T, F)."""
+    """Functions, (T, F)."""
 
     moved: tuple[int, ...]
-    """Channels that it moves."""
+    """Affected channels."""
 
     axes: list[Array]
-    """By how much, (T, c)."""
+    """Factors of the affected channels, (T, c)."""
 
 
 class Nuisances:
-    """Every structure that some flights can have."""
+    """All structures that the given flights can show."""
 
     def __init__(
         self,
@@ -100,14 +100,14 @@ class Nuisances:
         declared: Sequence[Array],
         most: Array,
     ) -> None:
-        """Take the flights.
+        """Store the flights and their structures.
 
         Args:
             flights: Training flights.
-            times: Of their rows [s], (T,).
-            channels: What is compared.
-            declared: What the declared model misses, (T, C): gives the sizes.
-            most: How large offsets of single flights are at most in each channel, (C,).
+            times: Row times of each flight [s], (T,).
+            channels: Compared channels.
+            declared: Residuals of the declared model, (T, C), which give the sizes.
+            most: Largest offsets of single flights in each channel, (C,).
         """
         self._times, self._channels, self._declared, self._most = times, channels, declared, most
         self._lines = CommonLines(times, [motion_of(flight, time) for flight, time in zip(flights, times, strict=True)])
@@ -117,14 +117,14 @@ class Nuisances:
         world = [[turn.apply(axis, inverse=True) for turn in turns] for axis in np.eye(3)]
         for kind, features in features_of(flights, times).items():
             functions = _standard(features)
-            if kind in IN_WORLD:  # the force at a place has a mean; a drift or a mean speed is what effects are for
+            if kind in IN_WORLD:  # a force at a place has a mean; for others, effects explain the mean
                 functions = [np.column_stack((np.ones(len(part)), part)) for part in functions]
             if not functions[0].shape[1]:
-                continue  # a voltage that stays the same
+                continue  # constant voltage
             seen = in_axes_of(kind, flights, times, declared, channels)
             for place, channel in enumerate(channels):
                 moved, axes = (place,), alone
-                if kind in IN_WORLD and place in force:  # a world axis seen from the body
+                if kind in IN_WORLD and place in force:  # world axis in body coordinates
                     moved, axes = force, world[force.index(place)]
                 size = _rms([part[:, place] for part in seen])
                 self._shapes.append(
@@ -132,11 +132,11 @@ class Nuisances:
                 )
 
     def beside(self, present: Sequence[Array], effects: Mapping[str, Sequence[Sequence[InChannels]]]) -> list[Nuisance]:
-        """Return what of them effects cannot make.
+        """Return the structures without the parts that effects can produce.
 
         Args:
-            present: What the present model misses, (T, C): gives the frequencies of tones.
-            effects: Derivatives of the prediction by the parameters of each effect, (T, C, any), at each of its starts.
+            present: Residuals of the present model, (T, C), which give the frequencies of tones.
+            effects: Derivatives by the parameters of each effect, (T, C, any), at each of its starts.
         """
         found = []
         for shape in self._shapes:
@@ -155,7 +155,7 @@ class Nuisances:
         return [*found, *_offsets(self._channels, present, self._most), *self._tones(present)]
 
     def _tones(self, present: Sequence[Array]) -> list[Nuisance]:
-        """Return the strongest common tone of each channel; its phase is each flight's own."""
+        """Return the strongest common tone of each channel, with a separate phase in each flight."""
         found, times = [], self._times
         for place, channel in enumerate(self._channels):
             line = self._lines.find([part[:, place] for part in present])
@@ -171,19 +171,19 @@ class Nuisances:
 
 
 def offsets_of(structures: Sequence[Nuisance], channels: Sequence[Channel], weight: Array) -> OwnOffsets:
-    """Return those of some structures that are each flight's own; ``weight`` is that of a row of each channel, (C,)."""
+    """Return the flight offsets among some structures; ``weight``: weight of a row of each channel, (C,)."""
     own = {structure.channel: (structure.size, structure.most) for structure in structures if structure.of_flights}
     size, most = np.array([own.get(channel.name, (0.0, 0.0)) for channel in channels]).T
     return OwnOffsets(size=size, weight=weight, most=most)
 
 
 def functions_of(kind: str, flights: Sequence[Flight], times: Sequence[Array]) -> list[Array]:
-    """Return what varies with place, heading, time and so on, of mean 0 and rms 1 over all flights, (T, F)."""
+    """Return functions of place, heading, time or another variable, with mean 0 and RMS 1 over all flights, (T, F)."""
     return _standard(features_of(flights, times)[kind])
 
 
 def _standard(features: Sequence[Array]) -> list[Array]:
-    """Return independent functions of mean 0 and rms 1 over all flights that make up the same, (T, F)."""
+    """Return an orthogonal basis of the features' deviations from their means, with RMS 1 over all flights, (T, F)."""
     whole = np.concatenate(features)
     centred = (whole - whole.mean(axis=0)) / np.maximum(whole.std(axis=0), 1e-12)
     directions, sizes, _ = np.linalg.svd(centred, full_matrices=False)
@@ -192,7 +192,7 @@ def _standard(features: Sequence[Array]) -> list[Array]:
 
 
 def _beyond(functions: Sequence[Array], effects: Sequence[Sequence[Array]]) -> list[Array]:
-    """Return what is left of functions (T, F) when what effects (T, any) can make of them is taken out."""
+    """Return functions (T, F) minus their least-squares fit by effects (T, any)."""
     if not effects:
         return list(functions)
     whole, ends = np.concatenate(functions), np.cumsum([len(part) for part in functions])[:-1]
@@ -202,11 +202,11 @@ def _beyond(functions: Sequence[Array], effects: Sequence[Sequence[Array]]) -> l
 
 
 def most_of_flights(predictor: Predictor, tolerated: Array) -> Array:
-    """Return how large offsets of single flights are at most in each channel, (C,).
+    """Return the largest offsets of single flights in each channel, (C,).
 
-    As large as what is ``tolerated`` there, (C,), anew in each flight; an accelerometer by more (``acc_of_flight``), a
-    force that is derived from the velocity by nothing: no sensor has felt it. What differs more between flights is no offset:
-    flights in different winds differ by drag.
+    They are the RMS residual within the tolerances, ``tolerated`` (C,), with ``acc_of_flight`` added in squares for
+    accelerometers. A force derived from velocity has none, as no sensor measured it. Larger differences are no
+    offsets: flights in different winds differ by drag.
     """
     force = np.array([channel.kind in FORCES for channel in predictor.channels])
     if not all(flight.accelerometer for flight in predictor.flights):
@@ -215,9 +215,9 @@ def most_of_flights(predictor: Predictor, tolerated: Array) -> Array:
 
 
 def _offsets(channels: Sequence[Channel], present: Sequence[Array], most: Array) -> list[Nuisance]:
-    """Return an offset of each flight's own in each channel: a battery put in anew, a sensor that has warmed up.
+    """Return an offset per flight in each channel, for example after a battery change or a sensor's warm-up.
 
-    One unit is as large as the scatter between the means of the flights, ``most`` (C,) at most.
+    The unit is the standard deviation of the flights' mean residuals, at most ``most`` (C,).
     """
     if len(present) < 2:
         return []
@@ -234,7 +234,7 @@ def _offsets(channels: Sequence[Channel], present: Sequence[Array], most: Array)
 
 
 def _of_one(flight: int, flights: int, values: Array, channel: int) -> InChannels:
-    """Return the columns of a flight of which it has some for itself, (T, 1, p), as each other one has."""
+    """Return the columns of one flight, (T, 1, p), among equal numbers of columns for every flight."""
     own = values.shape[2]
     return InChannels(values=values.astype(np.float32), channels=(channel,), width=own * flights, first=own * flight)
 
@@ -244,7 +244,7 @@ def _rms(parts: Sequence[Array]) -> float:
 
 
 def beyond_structures(structures: Sequence[Nuisance], residuals: Sequence[Array], weights: Weighting) -> list[Array]:
-    """Return what is left of residuals (T, C) when structures are fitted channel by channel, each column within its size."""
+    """Return residuals (T, C) minus the structures, fitted channel by channel with unit normal priors."""
     left = [part.copy() for part in residuals]
     for place, weight in enumerate(weights.weight):
         own = [s.columns for s in structures if place in s.columns[0].channels]

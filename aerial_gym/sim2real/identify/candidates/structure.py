@@ -1,6 +1,6 @@
-"""What kind of structure a remaining residual has: what does it follow, or does it have a frequency of its own?
+"""Detection of structure in a residual: dependence on place, heading and so on, or a spectral line.
 
-Each explanation is fitted on all flights but one and judged on that one, so that only what repeats counts.
+Each explanation is fitted to all flights but one and evaluated on that one, so only repeatable structure counts.
 Letters: T rows, C channels.
 """
 
@@ -17,39 +17,39 @@ from aerial_gym.sim2real.logs.signals import welch
 from aerial_gym.sim2real.predict.channels import Channel
 
 LEAST_SHARE = 0.3
-"""A kind is named if it explains this share of the residual's variance on flights left out."""
+"""Least explained share of the variance on left-out flights."""
 
 SEGMENT_S = 8.0
 OWN_MOTION = 0.5
-"""A line is no structure of its own if the motion of the flights has this share of it."""
+"""Largest share of the flight motion at a line, relative to the residual's; above it, motion causes the line."""
 
 LINE_WIDTH = 2
-"""A spectral line spreads over this many neighbours on each side."""
+"""Half width of a spectral line in bins."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Structure:
-    """Kind of what remains."""
+    """Structure of a residual."""
 
     kind: str = "none"
     """position, heading, velocity, voltage, time, periodic or none."""
 
     freq_hz: float | None = None
-    """Of a periodic residual [Hz]."""
+    """Frequency of a periodic residual [Hz]."""
 
     channel: str | None = None
-    """Where it is strongest; forces in world axes for position and heading."""
+    """Channel of the strongest structure; forces are in world axes for position and heading."""
 
     share: float = 0.0
-    """Share of the variance there that it explains on flights left out."""
+    """Explained share of its variance on left-out flights."""
 
     def as_mapping(self) -> dict[str, object]:
-        """Return it for JSON."""
+        """Return the values for JSON."""
         return {"kind": self.kind, "freq_hz": self.freq_hz, "channel": self.channel, "share": round(self.share, 3)}
 
 
 IN_WORLD = ("position", "heading")
-"""Kinds whose forces are looked at in world axes."""
+"""Kinds whose forces are evaluated in world axes."""
 
 
 def find_structure(
@@ -59,7 +59,7 @@ def find_structure(
     channels: Sequence[Channel],
     chosen: Sequence[int],
 ) -> Structure:
-    """Return the strongest kind of structure in the chosen channels; ``none`` unless two flights agree on it."""
+    """Return the strongest structure in the chosen channels; ``none`` for a single flight or a small share."""
     if len(flights) < 2 or not chosen:
         return Structure()
     found = [Structure()]
@@ -84,20 +84,20 @@ def in_axes_of(
     residuals: Sequence[Array],
     channels: Sequence[Channel],
 ) -> list[Array]:
-    """Return the residuals in the axes in which a kind is looked for, (T, C) each."""
+    """Return the residuals in the axes that suit a kind of structure, (T, C) each."""
     if kind not in IN_WORLD:
         return list(residuals)
     return [world_forces(f, t, r, channels) for f, t, r in zip(flights, times, residuals, strict=True)]
 
 
 def forces_of(channels: Sequence[Channel]) -> tuple[int, ...]:
-    """Return the places of the specific forces along x, y and z; none where one is missing."""
+    """Return the indices of the specific forces x, y and z; empty if one is missing."""
     found = tuple(place for place, channel in enumerate(channels) if channel.kind == "specific_force")
     return found if len(found) == 3 else ()
 
 
 def world_forces(flight: Flight, time: Array, residual: Array, channels: Sequence[Channel]) -> Array:
-    """Return the residual with its forces turned into world axes, (T, C)."""
+    """Return the residual with specific forces rotated to world axes, (T, C)."""
     force = list(forces_of(channels))
     if not force:
         return residual
@@ -107,18 +107,18 @@ def world_forces(flight: Flight, time: Array, residual: Array, channels: Sequenc
 
 
 def rows_of(flight: Flight, time: Array) -> Indices:
-    """Return the rows of a flight at some times [s], (T,)."""
+    """Return the row indices of a flight at times [s], (T,)."""
     return np.round(time * flight.rate).astype(int)
 
 
 def features_of(flights: Sequence[Flight], times: Sequence[Array]) -> dict[str, list[Array]]:
-    """Return functions of what a residual may follow, (T, any) of each flight, for the kinds that all flights have."""
+    """Return candidate regressors by kind, (T, any) of each flight, for the kinds that all flights have."""
     pairs = [(flight, rows_of(flight, time)) for flight, time in zip(flights, times, strict=True)]
     found = {"time": [np.stack((time, time**2), axis=1) for time in times]}
     if all(flight.position is not None for flight in flights):
         found["position"] = _spread([flight.position[rows] for flight, rows in pairs if flight.position is not None])
     turns = [Rotation.from_quat(flight.attitude[rows]) for flight, rows in pairs]
-    if not any(flight.attitude_integrated for flight in flights):  # the integral of a gyro is no heading
+    if not any(flight.attitude_integrated for flight in flights):  # an integrated gyro has no heading reference
         ahead = [np.arctan2(*turn.apply([1.0, 0.0, 0.0])[:, 1::-1].T) for turn in turns]
         found["heading"] = [np.stack([f(n * yaw) for n in (1, 2) for f in (np.cos, np.sin)], axis=1) for yaw in ahead]
     if all(flight.lin_vel is not None for flight in flights):
@@ -135,7 +135,7 @@ def features_of(flights: Sequence[Flight], times: Sequence[Array]) -> dict[str, 
 
 
 def _spread(places: Sequence[Array]) -> list[Array]:
-    """Return functions of place: a smooth one of height, and a paraboloid over the ground."""
+    """Return regressors of place: a spline of height and quadratic polynomials of x and y."""
     height = np.concatenate([p[:, 2] for p in places])
     knots = np.unique(np.quantile(height, np.linspace(0.0, 1.0, 5)))
     if knots.size < 3 or np.ptp(height) < 1e-6:
@@ -150,7 +150,7 @@ def _spread(places: Sequence[Array]) -> list[Array]:
 
 
 def _left_out_squares(features: Sequence[Array], values: Sequence[Array]) -> tuple[Array, Array]:
-    """Return the squares of each column that features leave on flights left out, and those about the others' mean, (C,)."""
+    """Return the squared residuals on left-out flights with features, and about the other flights' mean, (C,) each."""
     left = total = np.zeros(values[0].shape[1])
     for out in range(len(values)):
         kept = [i for i in range(len(values)) if i != out]
@@ -166,24 +166,24 @@ def _left_out_squares(features: Sequence[Array], values: Sequence[Array]) -> tup
 
 
 def motion_of(flight: Flight, time: Array) -> Array:
-    """Return how the vehicle moves, (T, 3 or 6): a line that is in here is the flight's own."""
+    """Return angular and linear velocity, (T, 3 or 6), to reject lines that the motion causes."""
     rows = rows_of(flight, time)
     parts = [part[rows] for part in (flight.ang_vel, flight.lin_vel) if part is not None]
     return np.concatenate(parts, axis=1)
 
 
 class CommonLines:
-    """Looks for lines that every flight has and none flies."""
+    """Search for spectral lines that all flights have but their motion has not."""
 
     def __init__(self, times: Sequence[Array], motion: Sequence[Array]) -> None:
-        """Take the times of the rows of each flight [s], (T,), and how it moves there, (T, any)."""
+        """Store the row times of each flight [s], (T,), and its motion, (T, any)."""
         self._rate = 1.0 / float(np.median(np.diff(times[0])))
         self._length = min(round(SEGMENT_S * self._rate), min(time.size for time in times))
         self._frequency = np.fft.rfftfreq(self._length, 1.0 / self._rate)
         self._flown = [self._spectrum(m) for m in motion]
 
     def find(self, values: Sequence[Array]) -> tuple[float, float] | None:
-        """Return frequency [Hz] and share of the variance of the strongest line in values (T,); None without one."""
+        """Return frequency [Hz] and variance share of the strongest line in values (T,); None without one."""
         spectra = [self._spectrum(v[:, None]) for v in values]
         inner = slice(2 * LINE_WIDTH, self._frequency.size - LINE_WIDTH)
         peak = int(np.argmax(np.mean(spectra, axis=0)[inner])) + 2 * LINE_WIDTH
@@ -194,12 +194,12 @@ class CommonLines:
         return (float(self._frequency[peak]), share) if own < OWN_MOTION * share else None
 
     def _spectrum(self, values: Array) -> Array:
-        """Return the share of the variance at each frequency, (lines, columns)."""
+        """Return the normalised power spectrum, (lines, columns)."""
         _, density = welch(values, self._rate, self._length)
         return density / np.maximum(density.sum(axis=0), 1e-300)
 
 
 def _line_share(spectra: Array, peak: int) -> Array:
-    """Return what a line and its neighbours hold above the level around it, (columns,), of spectra (lines, columns)."""
+    """Return the power of a line above the surrounding median, (columns,), in spectra (lines, columns)."""
     near = spectra[max(peak - 6 * LINE_WIDTH, 0) : peak + 6 * LINE_WIDTH + 1]
     return (spectra[peak - LINE_WIDTH : peak + LINE_WIDTH + 1] - np.median(near, axis=0)).sum(axis=0)

@@ -1,4 +1,4 @@
-"""Which effects a set of flights can test at all, and which parameters end where physics ends."""
+"""Identifiability of effects from a set of flights, and parameters at their bounds."""
 
 from collections.abc import Sequence
 
@@ -16,7 +16,7 @@ from aerial_gym.sim2real.predict.scene import lacks_of_air, lacks_of_scene
 
 
 def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Flight] = ()) -> Finding | None:
-    """Return the reason why robot file or logs cannot show an effect; None if they can."""
+    """Return a finding on the reason why robot file or logs cannot show an effect; None if they can."""
     effect, flights = EFFECTS.get(name), [*train, *test]
     if isinstance(effect, ImuEffect) and not any(flight.accelerometer or flight.gyro for flight in train):
         return Finding("no_inertial_sensor", name)
@@ -36,7 +36,7 @@ def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Fl
 
 
 def at_bounds(name: str, params: ModelParams, neutral: Array, robot: RobotCfg) -> list[str]:
-    """Return the parameters of an effect that end at a bound that is not neutral: the cause is another one."""
+    """Return the parameters of an effect at a bound other than neutral, a sign of another cause."""
     effect, found = EFFECTS.get(name), []
     rows = zip(effect.parameters, effect.bounds(robot), params.effects[name], neutral, strict=True)
     for parameter, bounds, value, start in rows:

@@ -1,1 +1,1 @@
-"""Selection of effects by evidence: sets of effects compete by how probable they make the flights."""
+"""Bayesian selection of effects: sets of effects compete by their evidence."""

@@ -1,4 +1,4 @@
-"""Sets of effects fitted as they are, not linearised, and the evidence there.
+"""Nonlinear fits of sets of effects, and their evidence.
 
 Letters: N tolerances.
 """
@@ -32,19 +32,19 @@ from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
 Label = tuple[str, ...]
-"""Names of a set's effects, with their rotor, and structures, sorted."""
+"""Sorted names of a set's effects, with rotor number, and structures."""
 
 BROAD = 3
-"""Sets of one size from which effects are taken out."""
+"""Number of sets of equal size from which effects are removed."""
 
 KEPT = 4
-"""Fitted sets whose derivatives are kept for the next fit."""
+"""Number of fitted sets whose derivatives are cached."""
 
 KEPT_BESIDE = 2
-"""Sets of structures that are kept with what is fitted beside them."""
+"""Number of cached sums of nuisance columns."""
 
 ENOUGH = 2.0
-"""Log likelihood, over the overdispersion of the best, that a fit which is only compared may leave to the model about it."""
+"""Log likelihood, times the best set's overdispersion, that a comparison fit may leave to its linear model."""
 
 NOTHING = Posterior(
     columns=np.zeros(0, dtype=np.int64),
@@ -53,73 +53,73 @@ NOTHING = Posterior(
     log_evidence=-np.inf,
     log_likelihood=-np.inf,
 )
-"""Of a fit that went nowhere."""
+"""Posterior of a fit whose prediction is not finite."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Compared:
-    """How far a fit goes whose set is only compared with the best: its parameters are not wanted to the last digit."""
+    """Stopping rule of a fit that is only compared with the best set and needs no exact parameters."""
 
     least: float
-    """Log posterior that it, or a set with fewer effects, must be able to have; else it is fitted no further."""
+    """Log posterior that the set, or a subset, must be able to reach; otherwise the fit stops."""
 
     enough: float
-    """Log likelihood that it may leave to the linear model about it."""
+    """Log likelihood that the fit may leave to its linear model."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fitted:
-    """A set of effects and structures, fitted."""
+    """A fitted set of effects and structures."""
 
     effects: tuple[str, ...]
     structures: tuple[Nuisance, ...]
     params: ModelParams
     log_posterior: float
-    """Evidence and prior of the set, up to the constant of all sets under one weighting; minus infinity where a prediction
-    is not finite."""
+    """Log evidence plus log prior, up to a constant common to all sets with equal weights; minus infinity for a prediction
+    that is not finite."""
 
     parameters: Posterior
-    """Of effects, tolerances and structures that are not each flight's own, in this order."""
+    """Posterior of effects, tolerances and structures other than flight offsets, in this order."""
 
     support: dict[str, Support]
-    """What speaks for each effect."""
+    """Statistical support of each effect."""
 
     most: float = np.inf
-    """Log posterior that it, or a set with fewer of its effects beside the same structures, can have at most: what it has,
-    what its fit may have missed, and what speaks against effects."""
+    """Upper limit of the log posterior of this set and its subsets with the same structures: its own value, plus the possible
+    further gain of the fit and the evidence against effects."""
 
     deviation: Array = field(default_factory=lambda: np.zeros(0))
-    """Most probable deviations within the tolerances, in standard deviations, (N,)."""
+    """Most probable deviations in standard deviations, (N,)."""
 
     @property
     def holds(self) -> bool:
-        """Return whether every effect is more probable than not (guard.py), at this fit."""
+        """Return whether every effect of this fit is more probable than not (guard.py)."""
         return np.isfinite(self.log_posterior) and all(one.holds for one in self.support.values())
 
     @property
     def overdispersion(self) -> float:
-        """Return by how much more the parameters scatter between flights than by noise, in variance, 1 at least."""
+        """Return the parameters' variance between flights over that from noise, at least 1."""
         found = [one.size * one.overdispersion for one in self.support.values()]
         return max(1.0, sum(found) / max(1, sum(one.size for one in self.support.values())))
 
     @property
     def own(self) -> tuple[Nuisance, ...]:
-        """Return the structures that are each flight's own."""
+        """Return the structures that are flight offsets."""
         return tuple(structure for structure in self.structures if structure.of_flights)
 
     @property
     def bare(self) -> bool:
-        """Return whether there are no other structures: what a robot file holds is judged so."""
+        """Return whether there are no structures but flight offsets, as required for a robot file."""
         return self.own == self.structures
 
     @property
     def within(self) -> ModelParams:
-        """Return its model with those deviations."""
+        """Return the model with its most probable deviations."""
         return replace(self.params, deviation=self.deviation)
 
     @property
     def label(self) -> Label:
-        """Return what tells the set from others."""
+        """Return the label of the set."""
         return label_of(
             [(name, self.params.effects[name]) for name in self.effects],
             [structure.name for structure in self.structures],
@@ -127,12 +127,12 @@ class Fitted:
 
 
 class Fitter:
-    """Fits sets about a present model, with the tolerances linear about it, and half way to its deviations."""
+    """Fits sets of effects, with tolerances linear about a present model at half of its deviations."""
 
     def __init__(
         self, predictor: Predictor, declared: ModelParams, num_names: int, weights: Weighting, present: ModelParams
     ) -> None:
-        """Take flights, the declared model, how many effects there are to choose from, weights, and the present model."""
+        """Store flights, declared model, number of available effects, weights and present model."""
         self.predictor, self.declared, self.weights = predictor, declared, weights
         self.log_names, self._present = float(np.log(max(1, num_names))), present
         self._tolerance: Derivatives | None = None
@@ -140,13 +140,13 @@ class Fitter:
         self._derivatives: dict[Label, tuple[Fitted, Derivatives]] = {}
 
     def forget(self) -> None:
-        """Let go of what takes memory; it is worked out again when it is needed."""
+        """Clear all caches; they are recomputed on demand."""
         self.forget_beside()
         self.tolerance = None
         self._derivatives.clear()
 
     def forget_beside(self) -> None:
-        """Let go of the sums of what is fitted beside effects."""
+        """Clear the cached sums of nuisance columns."""
         self._beside.clear()
 
     @property
@@ -161,14 +161,14 @@ class Fitter:
         self._tolerance = known
 
     def beside(self, structures: Sequence[Nuisance], more: Sequence[Array] | None = None) -> Beside:
-        """Return the tolerances, structures behind them, and ``more`` columns (rows, C, any).
+        """Return the nuisance columns: tolerances, structures and ``more`` columns (rows, C, any), in this order.
 
-        What is each flight's own is integrated out.
+        Flight offsets are integrated out.
         """
         key = tuple(structures)
         if more is None and key in self._beside:
             return self._beside[key]
-        if more is None and len(self._beside) == KEPT_BESIDE:  # before there is another one
+        if more is None and len(self._beside) == KEPT_BESIDE:  # free memory before the next one
             del self._beside[next(iter(self._beside))]
         parts: list[Sequence[Part]] = [self.tolerance, *(one.columns for one in structures if not one.of_flights)]
         flights = list(zip(*parts, *([] if more is None else [more]), strict=True))
@@ -180,7 +180,7 @@ class Fitter:
         return found
 
     def neutral(self, name: str) -> Array:
-        """Return the parameters with which an effect changes nothing."""
+        """Return the parameters at which an effect changes nothing."""
         return neutral_of(name, self.declared, self.predictor.robot)
 
     def fit(
@@ -194,10 +194,9 @@ class Fitter:
         frozen: Frozen = frozenset(),
         compared: Compared | None = None,
     ) -> Fitted:
-        """Return a set fitted from a start, by ``derivatives`` (rows, C, P) near it if there are, or there (``fresh``).
+        """Return a set fitted from ``start``, with ``derivatives`` (rows, C, P) at the start if ``fresh``, else near it.
 
-        ``frozen`` parameters stay where they are. ``compared`` says how far it goes if it is only compared with others; None:
-        to the end.
+        ``frozen`` parameters are fixed. ``compared``: stopping rule of a comparison fit; None: full convergence.
         """
         beside, effects = self.beside(structures), tuple(effects)
         asked = compared or Compared(least=-np.inf, enough=NOTHING_LEFT)
@@ -214,7 +213,7 @@ class Fitter:
         return fitted
 
     def _about(self, fit: Fit, effects: tuple[str, ...], structures: Sequence[Nuisance], more: float = 0.0) -> Fitted:
-        """Return a set by the linear model about its fit, which may have missed ``more`` log likelihood."""
+        """Return a set from the linear model about its fit, which may have missed ``more`` log likelihood."""
         parameters, support = NOTHING, {}
         if fit.finite:
             linear = linear_about(fit, [self.neutral(name) for name in effects])
@@ -243,7 +242,7 @@ class Fitter:
         structures: Sequence[Nuisance],
         compared: Compared | None = None,
     ) -> Fitted:
-        """Return a set of a library fitted from the present model, best of the starts of its new effects."""
+        """Return a set of a library fitted from the present model, the best over the starts of its new effects."""
         chosen = [library.candidates[k] for k in model]
         beside = {candidate.name for candidate in chosen if candidate.structure}
         kept = [structure for structure in structures if structure.name in beside]
@@ -262,9 +261,9 @@ class Fitter:
         return max(found, key=lambda one: one.log_posterior)
 
     def starts_of(self, library: Library, sets: Sets, model: Model) -> list[ModelParams]:
-        """Return where the fit of a set starts: old effects as they are, new ones at the most probable linear step.
+        """Return the starts of a set's fit: present values of old effects, the most probable linear step of new ones.
 
-        An effect that is linearised at several starts, a pendulum of many lengths, is far from linear: it starts there too.
+        A strongly nonlinear effect with several starts, such as a pendulum of unknown length, also starts at its linearisation.
         """
         found, step, robot = posterior(sets.candidates, sets.normal, model), 0, self.predictor.robot
         best = plain = self.declared
@@ -282,14 +281,14 @@ class Fitter:
         return [best] if same else [best, plain]
 
     def again(self, fitted: Fitted, other: "Fitter") -> Fitted:
-        """Return a set fitted again from where another one has fitted it, by its derivatives there."""
+        """Return a set refitted from another fitter's result, with its derivatives."""
         known, there = other._derivatives.get(fitted.label), fitted.params
         if known is None or known[0] is not fitted:
             return self.fit(fitted.effects, fitted.structures, there)
         return self.fit(fitted.effects, fitted.structures, there, known[1], fresh=True)
 
     def without(self, fitted: Fitted, names: Sequence[str], compared: Compared | None = None) -> Fitted:
-        """Return a set fitted again without some of its effects, which go back to what is declared."""
+        """Return a set refitted without some of its effects, which return to their declared values."""
         kept = {name: values for name, values in fitted.params.effects.items() if name not in names}
         kept |= {name: self.declared.effects[name] for name in names if name in self.declared.effects}
         start = ModelParams(effects=kept, learned=self.declared.learned)
@@ -303,16 +302,16 @@ class Fitter:
         return self.fit(effects, fitted.structures, start, derivatives, compared=compared)
 
     def without_weakest(self, fitted: Fitted, compared: Compared | None = None) -> Fitted:
-        """Return a set fitted again without the effect for which the least speaks; nothing does in a fit that went nowhere."""
+        """Return a set refitted without its least supported effect; effects without support count as the least."""
         odds = {name: one.robust_log_odds for name, one in fitted.support.items()}
         return self.without(fitted, (min(fitted.effects, key=lambda name: odds.get(name, -np.inf)),), compared)
 
     def held(self, fitted: Fitted, holds: Callable[[Fitted], bool] = lambda one: one.holds) -> Fitted:
-        """Return the most probable of a set and all that is left of it without some effects of which every effect holds.
+        """Return the most probable among a set and its subsets whose effects all hold.
 
-        An effect for which little speaks beside another may be all that is needed without it, and one that holds may be what
-        another lacks: not the weakest goes, but each is tried, from the best few sets of a size that do not hold, as long as
-        these are more probable than the best that does.
+        Removal of the weakest effect alone is not enough: an effect with little support beside another may suffice without it.
+        So each effect is removed in turn from the best few failing sets of each size, as long as these are more probable
+        than the best set that holds.
         """
         level, best = [fitted], None
         while level:
@@ -331,7 +330,7 @@ class Fitter:
         return best
 
     def in_file(self, fitted: Fitted) -> tuple[Fitted, dict[str, list[str]]]:
-        """Return a set without what does not hold or ends where physics does, and what ended so, with the parameters."""
+        """Return a set without unsupported effects or parameters at bounds, and the removed effects with those parameters."""
         ends: dict[str, list[str]] = {}
         while True:
             fitted = self.held(fitted)
@@ -348,7 +347,7 @@ class Fitter:
             fitted = self.without(fitted, tuple(found))
 
     def most_probable(self, fitted: Fitted) -> ModelParams:
-        """Return a fitted set with the most probable parameters: what flights do not show is where its prior has it."""
+        """Return a set's model at its posterior mode, where unobservable parameters follow their prior."""
         params, start = fitted.params, 0
         for name in fitted.effects:
             numbers = [k for k in range(scales((name,)).size) if is_number(name, k)]
@@ -360,10 +359,9 @@ class Fitter:
         return params
 
     def narrower(self, fitted: Fitted, names: Sequence[str], compared: Compared | None = None) -> list[Fitted]:
-        """Return a set with an effect in the place of a wider case of it, fitted, for each that there is.
+        """Return the fitted sets in which a narrower effect replaces a general one.
 
-        A wide case can be better only by its curvature where both are far from neutral: two lags follow a bend that one
-        cannot in a linear model.
+        A general effect may win only by its curvature far from neutral: linearised, two lags follow a bend that one cannot.
         """
         found = []
         for wide in fitted.effects:
@@ -382,7 +380,7 @@ def _probable(fitted: Fitted) -> float:
 
 
 def label_of(effects: Iterable[tuple[str, Array]], structures: Iterable[str]) -> Label:
-    """Return what tells a set of effects, with a parameter vector each, and structures from others."""
+    """Return the label of a set: effects with parameter vectors, and structures."""
     named = [
         f"{name} {values[0]:.0f}" if EFFECTS.get(name).parameters[0].kind == "rotor" else name
         for name, values in effects
@@ -391,7 +389,7 @@ def label_of(effects: Iterable[tuple[str, Array]], structures: Iterable[str]) ->
 
 
 def label_in(library: Library, model: Model) -> Label:
-    """Return what tells a set of a library's candidates from others."""
+    """Return the label of a set of library candidates."""
     chosen = [library.candidates[k] for k in model]
     effects = [(one.name, one.start) for one in chosen if not one.structure]
     return label_of(effects, [one.name for one in chosen if one.structure])

@@ -1,8 +1,8 @@
-"""The guard against a model that is not the vehicle's: every effect must hold when flights themselves say how sure they are.
+"""Guard against misspecified models: every effect must hold with the variance that the flights themselves show.
 
-Evidence weighs sets as if one of them were true and noise alone were left. Where none is true, what a set misses is the same
-again and again within a flight and another in the next: parameters then scatter more between flights than noise would make
-them. By this factor, their overdispersion, an effect speaks for itself too loudly.
+Evidence assumes that one of the sets is true and that only noise remains. If none is true, the model error is consistent
+within a flight but differs between flights. Parameters then scatter more between flights than noise explains. This factor,
+the overdispersion, overstates the support of an effect.
 
 Letters: F parts of the flights, k columns of one set, P those of one effect.
 
@@ -26,34 +26,34 @@ from aerial_gym.sim2real.identify.least_squares.covariance import shown
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import WEAK_PRIOR
 
 FEWEST_PARTS = 4
-"""Between which the scatter is taken: fewer do not tell one."""
+"""Least number of independent parts for the scatter."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Support:
-    """How much speaks for an effect of a set, in the linear model."""
+    """Statistical support of an effect in a set, in the linear model."""
 
     log_odds: float
-    """Log posterior odds of the set with and without it, if the noise is all that the set misses."""
+    """Log posterior odds of the set with and without the effect, if only noise remains."""
 
     wald: float
-    """Squared distance of its parameters from neutral, over their covariance by noise and tolerances."""
+    """Wald statistic: squared distance from neutral over the covariance of noise and tolerances."""
 
     overdispersion: float
-    """Variance of its parameters by the scatter between flights over that by noise, the mean over its parameters."""
+    """Parameter variance from the scatter between flights over that from noise, mean over the parameters."""
 
     size: int
-    """Number P of its parameters."""
+    """Number P of parameters."""
 
     shown: bool = True
-    """Whether flights tell any of them better than by its scale, whatever they may be."""
+    """Whether flights determine any of the parameters better than its scale."""
 
     @property
     def robust_log_odds(self) -> float:
-        """Return the log odds with the distance over the larger of the two covariances.
+        """Return the log odds with the Wald statistic over the larger covariance.
 
-        Occam's factor stays that of noise, the stricter one: with the larger covariance there as well, structures were let in
-        beside which a measured ground effect was lost (docs/results/measured.md).
+        Occam's factor keeps the noise covariance, which is stricter. The larger one also admitted structures that concealed a
+        measured ground effect (docs/results/measured.md).
         """
         return self.log_odds - 0.5 * self.wald * (1.0 - 1.0 / max(self.overdispersion, 1.0))
 
@@ -64,19 +64,19 @@ class Support:
 
 
 class Guard:
-    """Takes out of sets what is less probable than not when parameters are as sure as flights agree on them."""
+    """Removes effects that are less probable than not under the scatter between flights."""
 
     def __init__(self, library: Library, sets: Sets) -> None:
-        """Take the posterior over sets of a library of candidates."""
+        """Store the posterior over sets of a candidate library."""
         self._sets, self._candidates = sets, candidates_of(library)
         self._parts = [normal_of(library, slice(k, k + 1)) for k in range(library.moments.count.size)]
         self._whole = normal_of(library)
         self._support: dict[Model, dict[int, Support]] = {}
 
     def held(self, model: Model) -> Model:
-        """Return what is left of a set when that for which the least speaks goes, until all that is left holds.
+        """Return a set after removal of its least supported candidate, repeated until all hold.
 
-        Structures are held to it as well: what remains in one flight as in no other has no structure.
+        Structures are included: a residual that does not repeat in other flights has none.
         """
         while (found := self.of(model)) and not all(one.holds for one in found.values()):
             weakest = min(found, key=lambda k: found[k].robust_log_odds)
@@ -84,7 +84,7 @@ class Guard:
         return model
 
     def of(self, model: Model) -> dict[int, Support]:
-        """Return what speaks for each candidate of a set."""
+        """Return the support of each candidate of a set."""
         if model not in self._support:
             values = self._sets.log_posterior_of([model, *(tuple(k for k in model if k != gone) for gone in model)])
             odds = dict(zip(model, (values[0] - values[1:]).tolist(), strict=True))
@@ -94,7 +94,7 @@ class Guard:
 
 
 def supports_of_fit(fit: LinearFit, step: Array, log_names: float) -> dict[str, Support]:
-    """Return what speaks for each effect of a fitted set, about the fit, whose most probable ``step`` is given, (k,)."""
+    """Return the support of each effect of a fitted set at its most probable ``step`` (k,)."""
     reduced, once = fit.candidates.without_tolerances(), fit.whole.marginal(fit.candidates.tolerances)
     values = log_evidences(
         reduced, once, [fit.model, *(tuple(k for k in fit.model if k != gone) for gone in fit.model)]
@@ -107,11 +107,11 @@ def supports_of_fit(fit: LinearFit, step: Array, log_names: float) -> dict[str, 
 def supports(
     candidates: Candidates, whole: Normal, parts: Sequence[Normal], step: Array, log_odds: Mapping[int, float]
 ) -> dict[int, Support]:
-    """Return what speaks for each candidate of a set, whose most probable ``step`` and log odds without each are given."""
+    """Return the support of each candidate of a set, given its most probable ``step`` and log odds."""
     model = tuple(log_odds)
     columns, count = candidates.columns_of(model)
     precision = np.ones(columns.size)
-    precision[:count] = 2.0 / (1.0 + step[:count] ** 2)  # of the Cauchy prior there
+    precision[:count] = 2.0 / (1.0 + step[:count] ** 2)  # of the Cauchy prior
     covariance = np.linalg.inv(whole.product[np.ix_(columns, columns)] + np.diag(precision))
     weak = np.concatenate((np.full(count, WEAK_PRIOR**-2), np.ones(columns.size - count)))
     told = shown(np.linalg.inv(whole.product[np.ix_(columns, columns)] + np.diag(weak)))
@@ -132,11 +132,11 @@ def supports(
 
 
 def scatter(scores: Array) -> Array:
-    """Return the covariance (k, k) of the sum of scores (F, k) of independent parts, from the scatter between them."""
+    """Return the covariance (k, k) of a sum of scores (F, k), from the scatter between independent parts."""
     away = scores - scores.mean(axis=0)
     return away.T @ away * (len(scores) / (len(scores) - 1))
 
 
 def parts_of_a_flight(num_flights: int) -> int:
-    """Return in how many parts each flight is, that are taken as independent: one, or several if flights are few."""
+    """Return the number of parts per flight that count as independent: one, or several for few flights."""
     return -(-FEWEST_PARTS // num_flights)

@@ -1,11 +1,10 @@
-"""How probable a set of effects makes the flights: the log evidence, by Laplace's approximation.
+"""Log evidence of a set of effects by Laplace's approximation.
 
-A model is linear about a point: residual r = J x + noise, x the parameters of a set of effects in units of their scale, and
-the deviations within the tolerances of the declared vehicle. The evidence of a set is what the flights are worth on the
-average over its prior, ``Z = integral L(x) p(x) dx``. So it weighs fit against parsimony by itself: what a set could also
-have predicted, and did not happen, counts against it. Deviations have normal priors, for a tolerance is a standard
-deviation; parameters of effects have Cauchy priors about neutral, whose width is the parameter's scale and whose tails let
-a parameter be ten times larger without much ado.
+The model is linear about a point: residual r = J x + noise. x holds the parameters of a set's effects in units of scale,
+and the deviations of the declared vehicle within its tolerances. The evidence is the mean likelihood over the prior,
+``Z = integral L(x) p(x) dx``. It balances fit and parsimony: predictions that did not occur count against a set. Deviations
+have normal priors, whose standard deviations are the tolerances. Parameters of effects have Cauchy priors about neutral with
+the scale as width; their tails permit values ten times larger.
 
 Letters: K columns of a library, k columns of one set, P of them parameters of effects.
 
@@ -25,25 +24,25 @@ from scipy.special import log_ndtr
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 
 Model = tuple[int, ...]
-"""Places of the candidates that are in a set, in rising order."""
+"""Ascending indices of the candidates in a set."""
 
 MOST_STEPS = 30
-"""Of the search for the best parameters under the Cauchy priors."""
+"""Most iterations for the posterior mode under the Cauchy priors."""
 
 CONVERGED = 1e-4
-"""Relative to a parameter's scale."""
+"""Convergence limit of a step in units of scale."""
 
 AT_ONCE = 512
-"""Sets whose evidence is worked out together."""
+"""Number of sets evaluated in one batch."""
 
 LOG_2PI = float(np.log(2.0 * np.pi))
 
-(_solve_triangular,) = get_lapack_funcs(("trtrs",), dtype=np.float64)  # without checks that take longer than it does
+(_solve_triangular,) = get_lapack_funcs(("trtrs",), dtype=np.float64)  # without scipy's slower argument checks
 
 
 @dataclass(frozen=True, kw_only=True)
 class Normal:
-    """Sums over flights that a linear model needs: the log likelihood is ``gradient x - x product x / 2``, up to a constant."""
+    """Normal equations: the log likelihood is ``gradient x - x product x / 2`` plus a constant."""
 
     product: Array
     """``sum w J J^T``, (K, K)."""
@@ -52,10 +51,10 @@ class Normal:
     """``sum w J r``, (K,)."""
 
     constant: float = 0.0
-    """Of the log likelihood."""
+    """Constant of the log likelihood."""
 
     def __sub__(self, other: "Normal") -> "Normal":
-        """Return the sums without those of some flights."""
+        """Return the sums without those of other flights."""
         return Normal(
             product=self.product - other.product,
             gradient=self.gradient - other.gradient,
@@ -63,13 +62,13 @@ class Normal:
         )
 
     def beside(self, columns: Indices, kept: Indices) -> "Normal":
-        """Return the sums of some ``kept`` columns with others integrated out over their normal priors, exactly."""
+        """Return the sums of the ``kept`` columns, with others integrated out exactly over their normal priors."""
         return Integrated(self, columns, kept).sums(kept)
 
     def marginal(self, columns: Indices) -> "Normal":
-        """Return all sums with some columns integrated out; those columns are zero.
+        """Return all sums with some columns integrated out and set to zero.
 
-        What is in every set is so taken care of once.
+        Columns common to all sets are thus treated once.
         """
         kept = np.setdiff1d(np.arange(self.gradient.size), columns)
         reduced, product, gradient = (
@@ -82,10 +81,10 @@ class Normal:
 
 
 class Integrated:
-    """Sums with some columns integrated out over their normal priors, exactly."""
+    """Sums with some columns integrated out exactly over their normal priors."""
 
     def __init__(self, normal: Normal, columns: Indices, kept: Indices) -> None:
-        """Take the sums, the columns to integrate out, and those of which sums may be asked for."""
+        """Store the sums, the columns to integrate out, and those available afterwards."""
         there = columns[:, None]
         root = np.linalg.cholesky(normal.product[there, columns] + np.eye(columns.size))
         solved = _solve_lower(root, np.column_stack((normal.product[there, kept], normal.gradient[columns])))
@@ -95,7 +94,7 @@ class Integrated:
         self._constant = normal.constant + 0.5 * float(right @ right) - _half_log_det(root)
 
     def sums(self, kept: Indices) -> Normal:
-        """Return those of some columns."""
+        """Return the sums of some columns."""
         across = self._across[:, kept]
         product, gradient = self._normal.product[kept[:, None], kept], self._normal.gradient[kept]
         return Normal(
@@ -103,9 +102,9 @@ class Integrated:
         )
 
     def sums_without(self, gone: Indices, kept: Indices) -> Normal:
-        """Return those of ``kept`` columns beside what is integrated out, some of which, ``gone``, are not there after all.
+        """Return the sums of ``kept`` columns if the integrated columns ``gone`` are removed from the model after all.
 
-        They are held at zero: what the others then explain less is as much as their own steps, over their covariance, say.
+        Conditioning them on zero is exact: it lowers the likelihood by their steps over their covariance.
         """
         inverse = _solve_lower(self._root, (self._columns[:, None] == gone).astype(np.float64))
         steps = inverse.T @ np.column_stack((self._across[:, kept], self._right))
@@ -125,32 +124,32 @@ def _solve_lower(root: Array, right: Array) -> Array:
 
 
 def _half_log_det(root: Array) -> float:
-    """Return half the log determinant of what has this Cholesky factor."""
+    """Return half the log determinant from a Cholesky factor."""
     return float(np.log(np.diag(root)).sum())
 
 
 @dataclass(frozen=True, kw_only=True)
 class Posterior:
-    """The best parameters of one set, how well they are known, and the evidence of the set."""
+    """Posterior of one set: most probable parameters, their covariance, and the evidence."""
 
     columns: Indices
-    """Columns of the set, the tolerances behind, (k,)."""
+    """Columns of the set, tolerances last, (k,)."""
 
     step: Array
-    """Most probable values, in units of scale or tolerance, (k,)."""
+    """Most probable values in units of scale or tolerance, (k,)."""
 
     covariance: Array
-    """Of the normal distribution about them, (k, k)."""
+    """Covariance of the normal approximation, (k, k)."""
 
     log_evidence: float
 
     log_likelihood: float
-    """Of the best parameters, with what the deviations within tolerances and structures cost: nothing of priors of effects."""
+    """Log likelihood of the best parameters, with the priors of deviations and structures but not of effects."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Candidates:
-    """What a set is made of."""
+    """Candidates of which sets consist."""
 
     columns: tuple[Indices, ...]
     """Columns of each candidate."""
@@ -159,43 +158,42 @@ class Candidates:
     """Columns of the tolerances."""
 
     low: Array
-    """Lowest possible step of each column, in units of its scale, (K,); minus infinity where there is none."""
+    """Lowest possible step of each column in units of scale, (K,); minus infinity without a bound."""
 
     high: Array
-    """Highest, (K,)."""
+    """Highest possible step, (K,)."""
 
     exclusive: tuple[str, ...]
-    """Name of each candidate; a set has no two of one name: one effect from several starts, or on several rotors."""
+    """Name of each candidate; a set has at most one per name, as an effect may have several starts or rotors."""
 
     apart: frozenset[frozenset[str]] = frozenset()
-    """Pairs of names of which a set has one at most: a wide case, and what it contains."""
+    """Pairs of names that exclude each other: a general effect and a narrower one that it contains."""
 
     structures: frozenset[int] = frozenset()
-    """Candidates that are no effects: their columns have normal priors, as tolerances have."""
+    """Candidates that are structures; their columns have normal priors like tolerances."""
 
     def columns_of(self, model: Model) -> tuple[Indices, int]:
-        """Return the columns of a set, effects in front and tolerances behind, and how many belong to effects."""
+        """Return the columns of a set, effects first and tolerances last, and the number that belongs to effects."""
         own = [self.columns[k] for k in model if k not in self.structures]
         rest = [self.columns[k] for k in model if k in self.structures]
         count = sum(columns.size for columns in own)
         return np.concatenate([*own, *rest, self.tolerances]).astype(np.int64), count
 
     def without_tolerances(self) -> "Candidates":
-        """Return the candidates beside tolerances that have been integrated out."""
+        """Return the candidates after the tolerances have been integrated out."""
         return replace(self, tolerances=self.tolerances[:0])
 
 
 def posterior(candidates: Candidates, normal: Normal, model: Model) -> Posterior:
     """Return the posterior of one set's parameters, and its evidence by Laplace's approximation.
 
-    The Cauchy prior is a normal one whose precision depends on where the parameter is; the best parameters come by solving
-    with that precision again until it no longer changes. Bounds cut prior and posterior off: the evidence is multiplied by
-    the share of the posterior within them and divided by that of the prior: exact for a single parameter with a normal prior.
-    Of a parameter that nothing shows it is 0.56 in place of 1, the share of a Cauchy density that its normal one covers.
+    The Cauchy prior is a normal prior whose precision depends on the parameter, so the mode follows by iteration. Bounds
+    multiply the evidence by the posterior's share within them over the prior's. This is exact for a single parameter with a
+    normal prior. For an unobservable parameter it gives 0.56 instead of 1, the coverage of a Cauchy density by the normal.
     """
     columns, count = candidates.columns_of(model)
     effects, start = np.arange(columns.size)[None] < count, np.zeros((1, columns.size))
-    alone = normal.beside(columns[count:], columns[:count])  # the others have the same precision wherever effects are
+    alone = normal.beside(columns[count:], columns[:count])  # normal priors have a constant precision
     start[:, :count] = _most_probable(alone.product[None], alone.gradient[None], effects[:, :count])
     step, covariance, log_evidence = _laplace(
         candidates,
@@ -217,11 +215,10 @@ def posterior(candidates: Candidates, normal: Normal, model: Model) -> Posterior
 
 
 def log_evidences(candidates: Candidates, normal: Normal, models: Sequence[Model]) -> Array:
-    """Return the log evidence of each of some sets, (M,), as ``posterior`` has it.
+    """Return the log evidence of each set, (M,), as in ``posterior``.
 
-    Structures and tolerances have normal priors and are integrated out first, once for all sets with the same ones; a set of
-    structures alone shares them with no other, and only the tolerances are. Sets of about the same number of columns are then
-    worked out together; those with fewer are filled up with a column that does nothing.
+    Structures and tolerances have normal priors and are integrated out once for all sets that share them. For a set of
+    structures only, just the tolerances are. Sets with similar numbers of columns form a batch, padded with null columns.
     """
     alone = np.array([bool(model) and candidates.structures.issuperset(model) for model in models])
     places = [
@@ -258,8 +255,8 @@ def log_evidences(candidates: Candidates, normal: Normal, models: Sequence[Model
 def _without(candidates: Candidates, normal: Normal, wanted: Mapping[Model, Indices]) -> dict[Model, Normal]:
     """Return the sums of the ``wanted`` columns with each set of structures, and the tolerances, integrated out.
 
-    Neighbours differ in one structure: one set that is next to most of them is integrated out, and then the structure that each
-    has more, or has not.
+    Many sets differ by one structure. So the set nearest to most is integrated out, then single structures are added or
+    removed.
     """
     larger: dict[Model, list[Model]] = {}
     for one in wanted:
@@ -293,17 +290,17 @@ def _columns(candidates: Candidates, model: Iterable[int]) -> Indices:
 
 
 def _joined(candidates: Candidates, structures: Model) -> Indices:
-    """Return the columns of some structures and the tolerances."""
+    """Return the columns of some structures and of the tolerances."""
     return np.concatenate((_columns(candidates, structures), candidates.tolerances))
 
 
 def _one_less(model: Model) -> list[Model]:
-    """Return a set without each of its members."""
+    """Return the subsets with one member less."""
     return [model[:place] + model[place + 1 :] for place in range(len(model))]
 
 
 def _most_probable(product: Array, gradient: Array, effects: Flags, start: Array | None = None) -> Array:
-    """Return the most probable steps (M, k) under the priors, by solving with their precision there until it is settled."""
+    """Return the most probable steps (M, k) by iteration of the prior's precision until convergence."""
     step, unit = np.zeros(gradient.shape) if start is None else start.copy(), np.eye(gradient.shape[1])
     moving = np.arange(len(gradient))
     for _ in range(MOST_STEPS):
@@ -328,10 +325,10 @@ def _laplace(
     *,
     start: Array | None = None,
 ) -> tuple[Array, Array, Array]:
-    """Return steps (M, k), covariances (M, k, k) and log evidences (M,), up to the constant of the likelihood.
+    """Return steps (M, k), covariances (M, k, k) and log evidences (M,), up to the likelihood's constant.
 
-    Of sums (M, k, k) and (M, k) of some columns (M, k); ``effects`` (M, k) says which of these have Cauchy priors and bounds;
-    the others have normal ones. ``start`` is where effects are about most probable, (M, k).
+    The inputs are normal equations (M, k, k) and (M, k) of columns (M, k). ``effects`` (M, k): columns with Cauchy priors and
+    bounds; others have normal priors. ``start``: initial steps (M, k).
     """
     step = _most_probable(product, gradient, effects, start)
     precision, unit = _prior_precision(step, effects), np.eye(columns.shape[1])
@@ -351,13 +348,13 @@ def _laplace(
 
 
 def _log_normal_between(low: Array, high: Array) -> Array:
-    """Return the log probability that a standard normal number lies between two bounds."""
-    flip = low > 0.0  # in the lower tail, where it is exact
+    """Return the log probability of a standard normal variable between two bounds."""
+    flip = low > 0.0  # the lower tail is accurate
     low, high = np.where(flip, -high, low), np.where(flip, -low, high)
     top, bottom = log_ndtr(high), log_ndtr(low)
     return top + np.log1p(-np.exp(np.minimum(bottom - top, -1e-15)))
 
 
 def _log_cauchy_between(low: Array, high: Array) -> Array:
-    """Return the log probability that a standard Cauchy number lies between two bounds."""
+    """Return the log probability of a standard Cauchy variable between two bounds."""
     return np.log((np.arctan(high) - np.arctan(low)) / np.pi)

@@ -1,4 +1,4 @@
-"""The linear model about a fitted one as the sums of which evidences are made, and the evidence of a nonlinear fit."""
+"""Normal equations of linear models about a fit, as input of the evidence."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from aerial_gym.sim2real.identify.least_squares.parameters import params_of, sca
 
 
 def candidates_of(library: Library) -> Candidates:
-    """Return what sets are made of."""
+    """Return the candidates of a library as columns with bounds."""
     width = int(library.tolerances[-1]) + 1
     low, high = np.full(width, -np.inf), np.full(width, np.inf)
     for candidate in library.candidates:
@@ -36,9 +36,9 @@ def candidates_of(library: Library) -> Candidates:
 
 
 def normal_of(library: Library, blocks: slice = slice(None)) -> Normal:
-    """Return the weighted sums over some blocks."""
+    """Return the weighted normal equations over some blocks."""
     product = library.moments.product[blocks]
-    alone = product.shape[:2] == (1, 1) and library.weight[0] == 1.0  # then it need not be held a second time
+    alone = product.shape[:2] == (1, 1) and library.weight[0] == 1.0  # avoids a copy
     return Normal(
         product=product[0, 0] if alone else np.einsum("c,bckl->kl", library.weight, product),
         gradient=np.einsum("c,bck->k", library.weight, library.moments.gradient[blocks]),
@@ -48,27 +48,27 @@ def normal_of(library: Library, blocks: slice = slice(None)) -> Normal:
 
 @dataclass(frozen=True, kw_only=True)
 class LinearFit:
-    """The linear model about a fitted set: each effect is a candidate, and the set is all of them."""
+    """Linear model about a fitted set, in which each effect is one candidate."""
 
     candidates: Candidates
     whole: Normal
-    """With the constant by which the evidences of all sets under one weighting are comparable."""
+    """Normal equations with the constant that makes evidences of all sets comparable under equal weights."""
 
     parts: tuple[Normal, ...]
-    """Those of parts of the flights."""
+    """Normal equations of parts of the flights."""
 
     @property
     def model(self) -> Model:
-        """Return the set."""
+        """Return the set of all candidates."""
         return tuple(range(len(self.candidates.columns)))
 
 
 def linear_about(fit: Fit, neutral: Sequence[Array]) -> LinearFit:
-    """Return the linear model about a fit, its parameters counted from neutral.
+    """Return the linear model about a fit, with parameters relative to neutral.
 
     Args:
-        fit: Effects, tolerances and structures, with the weights in its moments; its blocks are the parts.
-        neutral: Parameters with which each effect changes nothing.
+        fit: Fit of effects, tolerances and structures with weighted moments; its blocks are the parts.
+        neutral: Parameters at which each effect changes nothing.
     """
     free, count = fit.free_all, fit.free_effects.size
     away = np.zeros(fit.low.size)

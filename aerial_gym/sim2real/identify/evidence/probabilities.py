@@ -1,4 +1,4 @@
-"""How probable fitted sets of effects are, and each effect among them."""
+"""Posterior probabilities of fitted sets and of single effects."""
 
 from collections.abc import Iterable, Mapping
 
@@ -9,9 +9,9 @@ from aerial_gym.sim2real.identify.evidence.fitting import Fitted
 
 
 def probabilities_of(fits: Iterable[Fitted], *, overdispersion: float) -> dict[tuple[str, ...], float]:
-    """Return the probability of each set of effects among fitted ones, whatever the structure beside them, best first.
+    """Return the probability of each set of effects, summed over structures, the most probable first.
 
-    What one set is better than another by counts so much less as parameters scatter more than by noise (guard.py).
+    Log posteriors are divided by the overdispersion of the parameters (guard.py).
     """
     found: dict[tuple[str, ...], float] = {}
     for fitted in fits:
@@ -23,7 +23,7 @@ def probabilities_of(fits: Iterable[Fitted], *, overdispersion: float) -> dict[t
 
 
 def inclusion_in(sets: Mapping[tuple[str, ...], float]) -> dict[str, float]:
-    """Return the probability of each effect, that of all sets that hold it, the most probable first."""
+    """Return the posterior inclusion probability of each effect, the highest first."""
     found: dict[str, float] = {}
     for names, probability in sets.items():
         for name in names:

@@ -1,10 +1,10 @@
-"""The posterior over sets of effects, and the search for the most probable ones.
+"""Posterior over sets of effects, and the search for the most probable sets.
 
-Sets compete, not single effects: two that only together mend what each alone would spoil are found as a pair, one that
-another has made superfluous goes when it no longer pays, and what cannot be told apart shares the probability.
+Sets rather than single effects compete. So two effects that fit only together are found as a pair, a redundant effect is
+removed, and indistinguishable effects share the probability.
 
 Source: Scott, Berger (2010), Bayes and empirical-Bayes multiplicity adjustment in the variable-selection problem, Annals of
-Statistics 38 (why the prior of a set depends on how many effects there are to choose from).
+Statistics 38 (dependence of a set's prior on the number of available effects).
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -21,25 +21,24 @@ from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Nor
 
 @dataclass
 class Sets:
-    """The posterior over the sets that a search has looked at.
+    """Posterior over the sets evaluated by a search.
 
-    A set of n effects has the prior ``1 / m**n`` for m names: one undeclared effect among all names is expected, so that a
-    long list does not find something by its length alone.
+    A set of n effects has the prior ``1 / m**n`` for m names. The expected number of effects thus does not grow with the list.
     """
 
     candidates: Candidates
     normal: Normal
     log_posterior: dict[Model, float] = field(default_factory=dict)
-    """Up to a constant."""
+    """Log posterior of each evaluated set, up to a constant."""
 
     @cached_property
     def log_names(self) -> float:
-        """Return what one more effect costs before the flights are seen."""
+        """Return the prior cost of one more effect, ``log m``."""
         names = {name for k, name in enumerate(self.candidates.exclusive) if k not in self.candidates.structures}
         return float(np.log(max(1, len(names))))
 
     def log_posterior_of(self, models: Iterable[Model]) -> Array:
-        """Return the log posterior of sets up to a constant, (M,); minus infinity for two candidates of one name."""
+        """Return the log posterior of sets up to a constant, (M,); minus infinity for exclusive candidates."""
         keys = [tuple(sorted(model)) for model in models]
         new = [key for key in dict.fromkeys(keys) if key not in self.log_posterior and self._possible(key)]
         if new:
@@ -58,13 +57,13 @@ class Sets:
         return max(self.log_posterior, key=self.log_posterior.__getitem__)
 
     def probabilities(self) -> dict[Model, float]:
-        """Return the probability of each set among those looked at, the most probable first."""
+        """Return the probability of each evaluated set, the most probable first."""
         models = sorted(self.log_posterior, key=self.log_posterior.__getitem__, reverse=True)
         logs = np.array([self.log_posterior[model] for model in models])
         return dict(zip(models, np.exp(logs - logsumexp(logs)).tolist(), strict=True))
 
     def inclusion(self) -> dict[str, float]:
-        """Return the probability that an effect is there, by name: that of all sets which hold it."""
+        """Return the posterior inclusion probability of each effect by name."""
         found = dict.fromkeys(self.candidates.exclusive, 0.0)
         for model, probability in self.probabilities().items():
             for k in model:
@@ -73,15 +72,14 @@ class Sets:
 
 
 MOST_STARTS = 3
-"""Sets from which the search climbs, the best of none, one and two effects."""
+"""Number of sets from which the search starts, the best with none, one and two effects."""
 
 
 def search(candidates: Candidates, normal: Normal, *, starts: Sequence[Model] = ()) -> Sets:
     """Return the posterior over sets around the most probable ones.
 
-    All singles and all pairs are looked at, so that two effects of which each alone would do harm are found; from the best
-    of these, and from ``starts``, the search climbs by adding and removing effects until none helps, and from where it came
-    highest by swapping them as well.
+    All singles and pairs are evaluated, which finds pairs of effects that fit only together. From the best of these and from
+    ``starts``, effects are added and removed while that helps; from the best result, swaps are tried as well.
     """
     reduced, once = candidates.without_tolerances(), normal.marginal(candidates.tolerances)
     sets, places = Sets(candidates=reduced, normal=once), range(len(candidates.columns))
@@ -94,7 +92,7 @@ def search(candidates: Candidates, normal: Normal, *, starts: Sequence[Model] = 
 
 
 def _climb(sets: Sets, model: Model, ways: Sequence[Callable[[Model, int], list[Model]]]) -> None:
-    """Look at neighbours of a set, and of the best of these, until none is more probable; try one way after the other."""
+    """Move to the best neighbour of a set while it is more probable; try the kinds of change in order."""
     count = len(sets.candidates.columns)
     here = float(sets.log_posterior_of([model])[0])
     while True:
@@ -109,12 +107,12 @@ def _climb(sets: Sets, model: Model, ways: Sequence[Callable[[Model, int], list[
 
 
 def steps_from(model: Model, count: int) -> list[Model]:
-    """Return the sets with one candidate more, or one less."""
+    """Return the sets with one candidate more or less."""
     more = [tuple(sorted((*model, k))) for k in range(count) if k not in model]
     return more + [tuple(k for k in model if k != gone) for gone in model]
 
 
 def swaps_in(model: Model, count: int) -> list[Model]:
-    """Return the sets with one candidate in the place of another."""
+    """Return the sets with one candidate replaced by another."""
     others = [k for k in range(count) if k not in model]
     return [tuple(sorted((*(k for k in model if k != gone), other))) for gone in model for other in others]

@@ -1,1 +1,1 @@
-"""Sums over blocks of time, Gauss-Newton steps on them, and how sure their results are."""
+"""Normal equations over time blocks, Gauss-Newton fits, and their uncertainty."""

@@ -1,4 +1,4 @@
-"""How well fitted parameters are known: coloured residuals, few flights, and a vehicle that is declared within tolerances.
+"""Uncertainty of fitted parameters with coloured residuals, few flights and declared tolerances.
 
 Letters: B blocks, F flights, C channels, K parameters, P free parameters, N tolerances.
 """
@@ -16,37 +16,37 @@ NORMAL_95 = normal_quantile(0.975)
 
 @dataclass(frozen=True, kw_only=True)
 class Uncertainty:
-    """Spread of the P fitted parameters, in units of their scale or tolerance."""
+    """Uncertainty of the P fitted parameters, in units of scale or tolerance."""
 
     columns: Indices
-    """Which of the K parameters they are, (P,)."""
+    """Indices of the P parameters among all K, (P,)."""
 
     step: Array
-    """From where the fit is linearised to its best point, (K,)."""
+    """Step from the linearisation to the optimum, (K,)."""
 
     plain: Array
-    """Covariance if residuals were as weighted, with the tolerances: shows what the flights cannot tell at all, (P, P)."""
+    """Covariance for white residuals as weighted, with tolerances, (P, P); it reveals unobservable parameters."""
 
     blocks: Array
-    """Covariance from the scatter of blocks of time, (P, P)."""
+    """Covariance from the scatter of time blocks, (P, P)."""
 
     flights: Array | None
     """Covariance from the scatter of whole flights, (P, P); None with fewer than three."""
 
     tolerance: Array
-    """Covariance from what the flights do not tell about deviations within the tolerances, (P, P)."""
+    """Covariance from the uncertainty of the deviations within the tolerances, (P, P)."""
 
     num_blocks: int
-    """B."""
+    """Number B of blocks."""
 
     num_flights: int
-    """F."""
+    """Number F of flights."""
 
     @property
     def half_width(self) -> Array:
         """Return half the 95 % interval, (P,): scatter with its t quantile, plus the tolerances.
 
-        The scatter is that of blocks, unless whole flights scatter more than blocks explain.
+        The scatter is that of blocks, or of whole flights if it is larger than blocks explain.
         """
         whole = None if self.flights is None else np.diag(self.flights)
         scatter = half_width_of_scatter(np.diag(self.blocks), self.num_blocks, whole, self.num_flights)
@@ -54,35 +54,35 @@ class Uncertainty:
 
     @property
     def std(self) -> Array:
-        """Return half the 95 % interval over 1.96, (P,): twice this covers 95 %, small samples included."""
+        """Return half the 95 % interval over 1.96, (P,), valid for small samples as well."""
         return self.half_width / NORMAL_95
 
     @property
     def correlation(self) -> Array:
-        """Return the correlations that the scatter of blocks and the tolerances give, (P, P)."""
+        """Return the correlations from the scatter of blocks and the tolerances, (P, P)."""
         together = self.blocks + self.tolerance
         deviation = np.sqrt(np.diag(together))
         return np.clip(together / np.outer(deviation, deviation), -1.0, 1.0)
 
 
 def shown(covariance: Array) -> Flags:
-    """Return which parameters (P,) flights tell better than by their scale, the unit of their covariance (P, P).
+    """Return the identifiable parameters (P,), with a standard deviation of at most one scale in the covariance (P, P).
 
-    With weak priors, so that flights and tolerances alone tell; whatever the parameters may be.
+    The covariance has weak priors, so that only flights and tolerances count.
     """
     return np.diag(covariance) <= 1.0
 
 
 def uncertainty(fit: Fit, weight: Array) -> Uncertainty:
-    """Return the spread of the fitted effects, with deviations within the tolerances fitted beside them.
+    """Return the uncertainty of the fitted effects, jointly with deviations within the tolerances.
 
-    ``A = sum w J J^T + P`` over effects and deviations, P the inverse prior variance; scores ``s = sum w J r`` of a block or
-    a flight. Then ``A^-1 (sum s s^T) A^-1`` (sandwich) is what noise does, and ``A^-1 P A^-1`` what remains unknown of the
-    vehicle.
+    ``A = sum w J J^T + P`` over effects and deviations, with the inverse prior variance P; ``s = sum w J r`` are scores of a
+    block or flight. The sandwich ``A^-1 (sum s s^T) A^-1`` is the covariance from noise, and ``A^-1 P A^-1`` that from the
+    unknown deviations.
 
     Source:
         Liang, Zeger (1986), Longitudinal data analysis using generalized linear models, section 2 (sandwich over
-        clusters); Hoerl, Kennard (1970), Ridge regression, section 4: variance and squared bias, the latter in the mean over
+        clusters); Hoerl, Kennard (1970), Ridge regression, section 4: variance and squared bias, here its mean over
         the prior.
     """
     free, own = fit.free_all, fit.free_effects.size

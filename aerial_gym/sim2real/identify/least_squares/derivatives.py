@@ -1,4 +1,4 @@
-"""Derivatives of predictions by parameters: how they are taken, kept, and mended along a step.
+"""Derivatives of predictions by parameters: finite differences, storage and secant updates.
 
 Letters: C channels, P parameters of effects, N tolerances.
 """
@@ -19,14 +19,14 @@ from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import of_logs
 
 Derivatives = Sequence[NDArray[np.floating]]
-"""By some parameters, per scale, of each flight, (rows, C, P)."""
+"""Derivatives by some parameters, per scale, of each flight, (rows, C, P)."""
 
 STEP = 1e-3
-"""Difference step in units of a parameter's scale or of a tolerance."""
+"""Finite-difference step in units of a scale or tolerance."""
 
 
 def column_by_column(like: Array, parameters: int, dtype: type[np.floating] = np.float64) -> NDArray[Any]:
-    """Return zeros (rows, C, P) for a prediction (rows, C); neighbours in memory are rows, as they are written and read."""
+    """Return zeros (rows, C, P) for a prediction (rows, C), contiguous along rows for fast columns."""
     return np.zeros((parameters, *like.T.shape), dtype=dtype).T
 
 
@@ -38,9 +38,9 @@ def effect_jacobian(
     *,
     beside: list[Array] | None = None,
 ) -> list[Array]:
-    """Return the derivative of the prediction by the effects' parameters, per scale, each (rows, C, P).
+    """Return the derivatives of the prediction by the effects' parameters, per scale, (rows, C, P) each.
 
-    Those in ``beside`` (rows, C, N) come behind them.
+    Columns in ``beside`` (rows, C, N) are appended.
     """
     here, scale = params_of(params, effects), scales(effects)
     highest = bounds_of(predictor.robot, effects)[1]
@@ -64,10 +64,10 @@ def effect_jacobian(
 def tolerance_jacobian(
     predictor: Predictor, params: ModelParams, dtype: type[np.floating] = np.float64
 ) -> list[NDArray[Any]]:
-    """Return the derivative of the prediction by the deviations, each (rows, C, N); in single precision as of ``single``.
+    """Return the derivatives of the prediction by the deviations, (rows, C, N) each, in the given precision.
 
-    Half way to those of the model: times them it is what they change together, but for terms of third order. Deviations act on
-    each other: a sensor that is late is elsewhere than the motion says.
+    They are taken at half of the model's deviations. Times the deviations they give the total change up to third-order terms,
+    including interactions such as that of a sensor delay with other deviations.
     """
     half = np.zeros(predictor.num_tolerances) if params.deviation is None else 0.5 * params.deviation
     base = predictor.predict(replace(params, deviation=half if half.any() else None))
@@ -82,23 +82,23 @@ def tolerance_jacobian(
 
 
 def tolerated(tolerance: Derivatives, num_rotors: int) -> Array:
-    """Return the residual (rms) that the tolerances of the vehicle, and not those of its log, cause in each channel, (C,).
+    """Return the RMS residual in each channel from the tolerances of the vehicle alone, (C,).
 
-    ``tolerance`` are the derivatives by all of them, (rows, C, N) of each flight.
+    ``tolerance``: derivatives by all tolerances, (rows, C, N) of each flight.
     """
     vehicle = np.logical_not(of_logs(num_rotors))
     return np.sqrt(np.concatenate([(part[:, :, vehicle] ** 2).sum(axis=2) for part in tolerance]).mean(axis=0))
 
 
 def change_along(columns: NDArray[np.floating], step: Array) -> Array:
-    """Return what derivatives of a flight (rows, C, P) say of a step (P,), (rows, C)."""
+    """Return the linear change of a flight's prediction (rows, C) for derivatives (rows, C, P) and a step (P,)."""
     return np.tensordot(step, columns.T, axes=1).T
 
 
 def exact_along(columns: Sequence[Array], step: Array, change: Sequence[Array]) -> None:
-    """Change derivatives (rows, C, k) in place, as little as gives exactly the ``change`` (rows, C) over a ``step`` (k).
+    """Apply Broyden's update: change derivatives (rows, C, k) least to give ``change`` (rows, C) over a ``step`` (k).
 
-    A lag of 0 and one of 0.06 s differ by much more or less than what the derivative at 0.06 s says.
+    For example, the effect of a lag from 0 to 0.06 s differs much from the derivative at 0.06 s.
 
     Source:
         Broyden (1965), A class of methods for solving nonlinear simultaneous equations, Mathematics of Computation 19.
@@ -113,5 +113,5 @@ def exact_along(columns: Sequence[Array], step: Array, change: Sequence[Array]) 
 
 
 def single(columns: Derivatives) -> Derivatives:
-    """Return derivatives in single precision, in which they are kept: differences of predictions know no more digits."""
+    """Return derivatives in single precision for storage; finite differences have no more valid digits."""
     return [part.astype(np.float32) for part in columns]

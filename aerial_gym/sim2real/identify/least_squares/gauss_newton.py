@@ -1,8 +1,8 @@
-"""Least squares through the physics of the simulator: effects and tolerances jointly, from sums over blocks of time.
+"""Gauss-Newton least squares through the simulator, jointly for effects and tolerances, from sums over time blocks.
 
-The residual of a model is linearised in its parameters by differences of whole predictions. Everything after that
-(fits without a flight, scores, standard errors) needs only sums over blocks: squares, gradients and products.
-Letters: B blocks, C channels, K parameters (those of effects in units of their scale, then N tolerances in deviations).
+The residual is linearised by finite differences of whole predictions. All further results (fits without a flight, scores,
+standard errors) follow from block sums of squares, gradients and products.
+Letters: B blocks, C channels, K parameters (of effects in units of scale, then N tolerances in standard deviations).
 """
 
 from collections.abc import Callable, Sequence
@@ -23,31 +23,30 @@ from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
 UNIT = np.ones(1)
-"""Weight of the moments of a fit that have the weights of the channels in them (``Beside.moments``)."""
+"""Weight for moments that already include the channel weights (``Beside.moments``)."""
 
 Frozen = frozenset[tuple[str, int]]
-"""Parameters that stay as they are: effect, and place among its parameters."""
+"""Fixed parameters: effect, and index among its parameters."""
 
 WEAK_PRIOR = 100.0
-"""Standard deviation of the effects' parameters in units of their scale: keeps a fit solvable where data are silent."""
+"""Prior standard deviation of the effects' parameters in units of scale, for solvable fits without data."""
 
 FARTHEST_DEVIATION = 5.0
-"""No tolerance is taken to be off by more standard deviations than this."""
+"""Largest deviation of a tolerance in standard deviations."""
 
 MOST_STEPS = 8
 SHARES = (1.0, 0.5, 0.25, 0.125)
-"""Of a step, tried until one fits no worse than before."""
+"""Step lengths, tried in order until the fit is no worse."""
 
 ROUNDING = 1e-6
-"""Relative rise of the squares that is none."""
+"""Relative rise of the squares that counts as none."""
 
 MOST_TO_PROMISE, MOST_TO_MENDED = 5.0, 25.0
-"""A fit gains less than so many times what its derivatives promise, taken where it is, or mended and as much as it has gained.
-
-Of 250 fits of a slung load and of flights of ARPL and IDSIA none has gained more than 1.5 times, or 11 times and a half."""
+"""Largest gain of a fit relative to the promise of its derivatives, if these are fresh, or updated (plus its past gain).
+Of 250 fits of a slung load and of ARPL and IDSIA flights, none gained more than 1.5 and 11.5 times."""
 
 NOTHING_LEFT = 0.05
-"""A step is not taken that promises less log likelihood than this: it would change no choice."""
+"""Least promised log likelihood of a step; smaller gains change no selection."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,74 +54,74 @@ class Fit:
     """A fitted model with its linearisation."""
 
     effects: tuple[str, ...]
-    """Names, in the order of the parameters."""
+    """Names in the order of the parameters."""
 
     params: ModelParams
-    """Where it is linearised: the best fit, with no deviation."""
+    """Point of linearisation: the best fit, without deviations."""
 
     moments: Moments
-    """At that point."""
+    """Sums at that point."""
 
     low: Array
     """Lowest possible step of each parameter, (K,)."""
 
     high: Array
-    """Highest, (K,)."""
+    """Highest possible step, (K,)."""
 
     num_effect_params: int
-    """The first so many of the K parameters belong to effects."""
+    """Number of the K parameters that belong to effects; they come first."""
 
     frozen: Frozen = frozenset()
-    """Parameters that the flights do not show; they stay where they are."""
+    """Fixed parameters, which the flights do not determine."""
 
     @property
     def finite(self) -> bool:
-        """Return whether prediction and derivatives are finite: a pendulum that goes over the top is not."""
+        """Return whether prediction and derivatives are finite; for a pendulum over the top they are not."""
         moments = self.moments
         return all(bool(np.isfinite(sums).all()) for sums in (moments.square, moments.gradient, moments.product))
 
     @property
     def owners(self) -> list[tuple[str, int]]:
-        """Return effect and place of each parameter of effects."""
+        """Return the effect and index of each effect parameter."""
         return [(name, place) for name in self.effects for place in range(len(EFFECTS.get(name).parameters))]
 
     @property
     def free_effects(self) -> Indices:
-        """Return the parameters of effects that are fitted."""
+        """Return the indices of the fitted effect parameters."""
         return np.array(
             [k for k, owner in enumerate(self.owners) if owner not in self.frozen and is_number(*owner)], dtype=int
         )
 
     @property
     def free_all(self) -> Indices:
-        """Return these and the tolerances."""
+        """Return the indices of the fitted effect parameters and the tolerances."""
         return np.concatenate((self.free_effects, np.arange(self.num_effect_params, self.low.size)))
 
     def columns_of(self, effect: str) -> Indices:
-        """Return the places of an effect's parameters."""
+        """Return the indices of an effect's parameters."""
         return np.array([k for k, (name, _) in enumerate(self.owners) if name == effect], dtype=int)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Goal:
-    """How far a fit is worth going."""
+    """Stopping rule of a fit."""
 
     worth: Callable[[Fit], float] = lambda _: np.inf
-    """What a fit would be worth, or the best with fewer effects, if the model about it were linear."""
+    """Value of a fit, or of its best subset of effects, under its linear model."""
 
     least: float = -np.inf
-    """What a fit must be able to be worth; else it ends wherever it is."""
+    """Value that the fit must be able to reach; otherwise it stops at once."""
 
     enough: float = NOTHING_LEFT
-    """Log likelihood that derivatives taken where it ends may still promise; what it is worth has that in it."""
+    """Log likelihood that fresh derivatives may still promise at the end; the value includes it."""
 
     def missed(self, fit: Fit, more: float) -> bool:
-        """Return whether a fit cannot come there, with ``more`` log likelihood than its derivatives promise."""
+        """Return whether a fit cannot reach ``least`` even with ``more`` log likelihood than its derivatives promise."""
         return np.isfinite(more) and np.isfinite(self.least) and self.worth(fit) + more < self.least
 
 
 def prior_precision(fit: Fit) -> Array:
-    """Return the inverse prior variance of each parameter, (K,): one for tolerances, almost none for effects."""
+    """Return the inverse prior variance of each parameter, (K,): 1 for tolerances, nearly 0 for effects."""
     precision = np.ones(fit.low.size)
     precision[: fit.num_effect_params] = WEAK_PRIOR**-2
     return precision
@@ -141,7 +140,7 @@ def best_step(fit: Fit, weight: Array, free: Indices, blocks: Indices | None = N
 
 
 def solve_within(fit: Fit, product: Array, gradient: Array, free: Indices) -> Array:
-    """Return the step (K,) that normal equations and the prior ask for, within the bounds; 0 where not free."""
+    """Return the bounded solution (K,) of the normal equations with the prior; 0 where not free."""
     step = np.zeros(fit.low.size)
     if free.size:
         a = product[np.ix_(free, free)] + np.diag(prior_precision(fit)[free])
@@ -157,9 +156,9 @@ def linearise(
     *,
     offsets: OwnOffsets | None = None,
 ) -> Fit:
-    """Return the model at a point, with the derivatives by the tolerances, (rows, C, N) of each flight.
+    """Return the linearised fit at a point, given the derivatives by the tolerances, (rows, C, N) of each flight.
 
-    ``offsets`` of flights are taken out of all. Flight by flight: derivatives of all flights need not be held a second time.
+    ``offsets`` of flights are integrated out. Flights are treated one by one to save memory.
     """
     predicted = predictor.predict(params)
     own, length = effect_jacobian(predictor, params, effects, predicted), block_length(predictor.times)
@@ -179,7 +178,7 @@ def fit_at(
     residuals: list[Array],
     jacobians: Sequence[Array],
 ) -> Fit:
-    """Return the model at a point from its residuals there and their derivatives (rows, C, K)."""
+    """Return the linearised fit at a point from its residuals and their derivatives (rows, C, K)."""
     moments = block_moments(predictor.times, residuals, jacobians)
     return fit_of_moments(predictor.robot, effects, params, moments)
 
@@ -191,7 +190,7 @@ def fit_of_moments(
     moments: Moments,
     frozen: Frozen = frozenset(),
 ) -> Fit:
-    """Return the model at a point from the moments there, tolerances and structures behind the parameters of effects."""
+    """Return the linearised fit at a point from its moments, with effect parameters first."""
     here, scale = params_of(params, effects), scales(effects)
     lowest, highest = bounds_of(robot, effects)
     farthest = np.full(moments.gradient.shape[2] - here.size, FARTHEST_DEVIATION)
@@ -217,25 +216,23 @@ def fit_effects(
     fresh: bool = False,
     goal: Goal = Goal(),
 ) -> tuple[Fit, list[Array], float]:
-    """Return the model with some effects fitted by Gauss-Newton steps, until nothing is left to gain, and its derivatives.
+    """Return a Gauss-Newton fit of effects, its derivatives, and the log likelihood that it may have missed beyond these.
 
-    And the log likelihood that it may have missed at most, beyond what these promise.
-
-    A step that overshoots is halved. Tolerances and structures take their share while the effects are fitted; they are not part
-    of the model. The moments of the fit have the weights of the channels in them (``UNIT``).
-    A step costs one prediction in place of one for each parameter: derivatives are mended along it by what the prediction
-    really did. Where they promise nothing more, or lead nowhere, they are taken anew; the fit ends if nothing comes of that. It
-    ends without where its steps gave what derivatives had promised, as nearly as is enough: they hold here.
+    Steps that overshoot are halved. Tolerances and structures are fitted jointly but are not part of the result. The moments
+    include the channel weights (``UNIT``).
+    A step costs one prediction instead of one per parameter, because Broyden's update corrects the derivatives. If these
+    promise no gain or give none, they are computed anew, and the fit ends if that does not help. It also ends without a new
+    computation if its steps gained what the derivatives promised, to within ``goal.enough``.
 
     Args:
-        predictor: Training flights.
-        effects: Effects whose parameters are free; all must be in ``start``.
-        start: First guess.
-        beside: What is fitted beside them, linear, and what a row of each channel counts.
-        frozen: Parameters that stay as they are.
-        derivatives: Of the prediction by the effects' parameters, per scale, somewhere near the start, (rows, C, P).
-        fresh: Whether these were taken at the start itself.
-        goal: How far it goes.
+        predictor: Predictor of the training flights.
+        effects: Fitted effects; all must be in ``start``.
+        start: Initial model.
+        beside: Nuisance columns, linear, with the channel weights.
+        frozen: Fixed parameters.
+        derivatives: Derivatives by the effects' parameters, per scale, near the start, (rows, C, P).
+        fresh: Whether these were computed at the start.
+        goal: Stopping rule.
 
     Source:
         Broyden (1965), A class of methods for solving nonlinear simultaneous equations, Mathematics of Computation 19.
@@ -247,7 +244,7 @@ def fit_effects(
     else:
         own = [part.astype(np.float64) for part in derivatives]
     first, steps = (cost := misfit(beside, residuals)), 0
-    off = np.inf  # log likelihood by which the last derivatives were wrong along the steps taken with them
+    off = np.inf  # error of the gain promised by the last computed derivatives, over the steps since
     while True:
         fit = fit_of_moments(predictor.robot, effects, params, beside.moments(residuals, own), frozen)
         if not np.isfinite(cost):
@@ -280,13 +277,13 @@ def fit_effects(
 
 
 def _more(promised: float, gained: float, *, fresh: bool) -> float:
-    """Return the log likelihood that a fit may gain beyond what its derivatives promise, of that and what it has gained."""
+    """Return the possible further log likelihood of a fit, from the promise of its derivatives and its past gain."""
     more = (MOST_TO_PROMISE - 1.0) * promised if fresh else (MOST_TO_MENDED - 1.0) * promised + gained
     return more if np.isfinite(more) else np.inf
 
 
 def _left_after(fit: Fit, step: Array) -> float:
-    """Return the negative log likelihood and prior of tolerances that a step (K,) would leave if the model were linear."""
+    """Return the negative log likelihood and tolerance prior after a step (K,) in the linear model."""
     product, gradient = normal_equations(fit, UNIT)
     prior = float(np.square(step[fit.num_effect_params :]).sum())
     square = float(fit.moments.square.sum()) - 2.0 * float(gradient @ step) + float(step @ product @ step)
@@ -294,7 +291,7 @@ def _left_after(fit: Fit, step: Array) -> float:
 
 
 def misfit(beside: Beside, residuals: Sequence[Array]) -> float:
-    """Return the weighted squares plus the prior, with what is beside as it fits best; infinite if a residual is not finite."""
+    """Return the weighted squares plus prior, minimised over the nuisance columns; infinite for non-finite residuals."""
     if not all(np.isfinite(part).all() for part in residuals):
         return np.inf
     one = Weighted([[part[:, :, None]] for part in residuals], beside.offsets)

@@ -1,4 +1,4 @@
-"""Best steps of a fit under the flights of others, each left out once.
+"""Best steps of a fit in cross-validation, with each label left out once.
 
 Letters: B blocks, C channels, K parameters, N tolerances.
 """
@@ -10,14 +10,14 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, normal_
 
 
 def steps_without(fit: Fit, weight: Array, free: Indices, label: Indices) -> Array:
-    """Return for each block the best step under the blocks of all other labels, (B, K); ``label`` is (B,)."""
+    """Return for each block the best step from the blocks of all other labels, (B, K); ``label`` is (B,)."""
     place = np.unique(label, return_inverse=True)[1]
     steps = [solve_within(fit, product, gradient, free) for product, gradient in _sums_of_others(fit, weight, place)]
     return np.stack(steps)[place]
 
 
 def _sums_of_others(fit: Fit, weight: Array, place: Indices) -> list[tuple[Array, Array]]:
-    """Return the normal equations of all blocks but those of each label 0, 1, ...; ``place`` is the label of each, (B,)."""
+    """Return the normal equations without the blocks of each label 0, 1, ...; ``place``: label of each block, (B,)."""
     parts = [normal_equations(fit, weight, np.flatnonzero(place == k)) for k in range(int(place.max()) + 1)]
     product, gradient = (np.sum(sums, axis=0) for sums in zip(*parts, strict=True))
     return [(product - own, gradient - pull) for own, pull in parts]

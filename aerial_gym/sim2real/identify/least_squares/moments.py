@@ -1,4 +1,4 @@
-"""Sums over blocks of time: all that fits without a flight, scores and standard errors need of the residuals.
+"""Sums over time blocks, sufficient for fits without a flight, scores and standard errors.
 
 Letters: B blocks, C channels, K parameters.
 """
@@ -11,24 +11,24 @@ import numpy as np
 from aerial_gym.sim2real.arrays import Array, Indices
 
 BLOCK_S = 2.0
-"""Length of a block [s]: several times longer than residuals remember."""
+"""Block length [s], several times the correlation time of residuals."""
 
 SHORTEST_BLOCK_S = 0.5
-"""Of flights that are too short for many blocks [s]: five periods of the usual band."""
+"""Block length of short flights [s]: five periods of the usual band."""
 
 ENOUGH_BLOCKS = 24
-"""So many tell a scatter to 15 %."""
+"""Number of blocks that determines a scatter to 15 %."""
 
 QUARTERS = 4
-"""A single flight is left out in so many parts."""
+"""Number of folds of a single flight."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Moments:
-    """Sums over blocks of time; residual r, its derivative J in the parameters of the prediction."""
+    """Sums over time blocks of residual r and its derivative J by the prediction's parameters."""
 
     count: Array
-    """Rows, (B,)."""
+    """Number of rows, (B,)."""
 
     square: Array
     """``sum r²``, (B, C)."""
@@ -40,16 +40,16 @@ class Moments:
     """``sum J J^T``, (B, C, K, K)."""
 
     flight: Indices
-    """Which flight a block is from, (B,)."""
+    """Flight of each block, (B,)."""
 
     def squares_after(self, step: Array) -> Array:
-        """Return ``sum (r - J d)²`` of each block, (B, C), for a step d of the parameters, one per block, (B, K)."""
+        """Return ``sum (r - J d)²`` of each block, (B, C), for parameter steps d per block, (B, K)."""
         linear = np.einsum("bck,bk->bc", self.gradient, step)
         change = np.einsum("bckl,bl->bck", self.product, step)
         return self.square - 2.0 * linear + np.einsum("bck,bk->bc", change, step)
 
     def joined(self, label: Indices) -> "Moments":
-        """Return the sums over all blocks of one label, in the order of the labels; ``label`` is (B,)."""
+        """Return the sums over blocks of equal label, in ascending order of labels; ``label`` is (B,)."""
         labels, first, place = np.unique(label, return_index=True, return_inverse=True)
 
         def joined(values: Array) -> Array:
@@ -65,13 +65,13 @@ class Moments:
 
 
 def block_length(times: Sequence[Array]) -> float:
-    """Return how long blocks of flights with rows at these times [s] are [s]: shorter if there would be few."""
+    """Return the block length [s] for flights with these row times [s]; shorter for short flights."""
     total = sum(float(time[-1] - time[0]) for time in times)
     return float(np.clip(total / ENOUGH_BLOCKS, SHORTEST_BLOCK_S, BLOCK_S))
 
 
 def folds(flight: Indices) -> Indices:
-    """Return what is left out together: the flight of each block, or the quarter of a single flight, (B,)."""
+    """Return the cross-validation fold of each block, (B,): its flight, or a quarter of a single flight."""
     if flight.max() > 0:
         return flight
     parts = min(QUARTERS, flight.size)
@@ -79,13 +79,13 @@ def folds(flight: Indices) -> Indices:
 
 
 def block_rows(time: Array, length: float) -> list[Indices]:
-    """Return the rows of each block of about a ``length`` [s] of a flight whose rows are at these times [s]."""
+    """Return the row indices of each block of about ``length`` [s], for a flight with these row times [s]."""
     blocks = max(1, round(float(time[-1] - time[0]) / length))
     return np.array_split(np.arange(time.size), blocks)
 
 
 def time_groups(times: Sequence[Array]) -> Indices:
-    """Return a number per row that is the same within a block of a flight, all flights in a row."""
+    """Return the block number of each row, unique over all flights in sequence."""
     parts, start, length = [], 0, block_length(times)
     for time in times:
         part = ((time - time[0]) / length).astype(int) + start
@@ -95,7 +95,7 @@ def time_groups(times: Sequence[Array]) -> Indices:
 
 
 def flight_of_rows(times: Sequence[Array]) -> Indices:
-    """Return the flight of each row, all flights in a row."""
+    """Return the flight index of each row, for all flights in sequence."""
     return np.repeat(np.arange(len(times)), [time.size for time in times])
 
 
@@ -106,13 +106,13 @@ def block_moments(
     *,
     length: float | None = None,
 ) -> Moments:
-    """Return the sums over blocks of about a ``length`` [s], none of which spans two flights.
+    """Return the sums over blocks of about ``length`` [s] within single flights.
 
     Args:
-        times: Of each flight [s], (rows,).
-        residuals: Of each flight, (rows, C).
-        jacobians: Of each flight, (rows, C, K).
-        length: Of a block; infinite: whole flights; None: what suits the flights (``block_length``).
+        times: Row times of each flight [s], (rows,).
+        residuals: Residuals of each flight, (rows, C).
+        jacobians: Derivatives of each flight, (rows, C, K).
+        length: Block length [s]; infinite: whole flights; None: ``block_length``.
     """
     length = block_length(times) if length is None else length
     blocks = [(flight, rows) for flight, time in enumerate(times) for rows in block_rows(time, length)]
@@ -133,7 +133,7 @@ def block_moments(
 
 
 def of_flights(found: Sequence[Moments]) -> Moments:
-    """Return the sums of all flights from those of each, one flight after the other."""
+    """Return the sums of all flights, concatenated in order."""
     return Moments(
         count=np.concatenate([one.count for one in found]),
         square=np.concatenate([one.square for one in found]),
@@ -145,13 +145,13 @@ def of_flights(found: Sequence[Moments]) -> Moments:
 
 @dataclass(frozen=True, kw_only=True)
 class Weighting:
-    """What a channel counts in a fit."""
+    """Weights of the channels in a fit."""
 
     variance: Array
-    """Mean square of the residual with every effect fitted, (C,)."""
+    """Mean squared residual with every effect fitted, (C,)."""
 
     effective: Array
-    """Independent samples per row: neighbours of a low-passed or coloured residual say the same, (C,)."""
+    """Independent samples per row, (C,); below 1 for low-passed or coloured residuals."""
 
     @property
     def weight(self) -> Array:
@@ -159,16 +159,16 @@ class Weighting:
         return self.effective / self.variance
 
     def where_left(self, mean_square: Array) -> Array:
-        """Return the weight of one row of other flights, of which more may be left, (C,): no more than that allows.
+        """Return the weight of one row, (C,), limited by the mean square of other flights' residuals.
 
         Args:
-            mean_square: Of what is left of each channel, (C,).
+            mean_square: Mean squared residual of each channel, (C,).
         """
         return self.effective / np.maximum(self.variance, mean_square)
 
 
 def weights_from(residuals: Sequence[Array]) -> Weighting:
-    """Return the weights that fit residuals, each (rows, C)."""
+    """Return the channel weights from residuals, each (rows, C)."""
     rows = np.array([r.shape[0] for r in residuals], dtype=float)
     shares = np.stack([effective_share(r) for r in residuals])
     total = np.sum([(r**2).sum(axis=0) for r in residuals], axis=0)
@@ -179,9 +179,9 @@ def weights_from(residuals: Sequence[Array]) -> Weighting:
 
 
 def effective_share(residual: Array) -> Array:
-    """Return the independent samples per row of each channel, (C,): one over twice the summed autocorrelation.
+    """Return the independent samples per row of each channel, (C,): ``1 / (2 sum autocorrelation - 1)``.
 
-    The sum ends where pairs of neighbouring lags turn negative. Source: Geyer (1992), Practical Markov chain Monte Carlo,
+    The sum ends at the first negative sum of neighbouring lags. Source: Geyer (1992), Practical Markov chain Monte Carlo,
     section 3.3, initial positive sequence.
     """
     rows = residual.shape[0]

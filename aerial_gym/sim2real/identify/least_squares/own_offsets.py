@@ -1,8 +1,8 @@
-"""Offsets of single flights, integrated out: a battery that was put in anew, a sensor that has warmed up.
+"""Marginal likelihood with random offsets of single flights, as from a new battery or a warm sensor.
 
-A channel of a flight is ``r = J x + o + noise``, with noise of weight w in each of n rows and o normal with standard deviation
-s, anew in each flight. Without o the likelihood of x is that of rows from which the share ``1 - 1 / sqrt(1 + n w s²)`` of
-their mean is taken: the inverse root of ``1 / w + s² 1 1^T`` is ``sqrt(w) (1 - share 1 1^T / n)``.
+A channel of a flight is ``r = J x + o + noise`` with noise weight w in each of n rows. The offset o is normal with standard
+deviation s, independent per flight. Integrated over o, the likelihood is that of rows minus the share
+``1 - 1 / sqrt(1 + n w s²)`` of their mean: the inverse root of ``1 / w + s² 1 1^T`` is ``sqrt(w) (1 - share 1 1^T / n)``.
 
 Letters: C channels, K parameters.
 
@@ -19,34 +19,34 @@ from aerial_gym.sim2real.arrays import Array
 
 @dataclass(frozen=True, kw_only=True)
 class OwnOffsets:
-    """How large offsets of flights are, and how much noise they are told from."""
+    """Prior of the flight offsets, with the noise weights."""
 
     size: Array
-    """Standard deviation s in each channel, (C,); 0 where flights have none."""
+    """Standard deviation s in each channel, (C,); 0 without offsets."""
 
     weight: Array
-    """Of one row, w, (C,)."""
+    """Weight w of one row, (C,)."""
 
     most: Array
-    """How large s is at most, whatever the flights of which it was estimated, (C,)."""
+    """Upper limit of s, independent of the flights that estimated it, (C,)."""
 
     @property
     def any(self) -> bool:
-        """Return whether there are any."""
+        """Return whether any channel has offsets."""
         return bool(self.size.any())
 
     def taken_out(self, parts: Sequence[Array]) -> list[Array]:
-        """Return residuals (rows, C), or derivatives (rows, C, K), of flights without the share of their means."""
+        """Return residuals (rows, C), or derivatives (rows, C, K), minus the share of their flight means."""
         if not self.any:
             return list(parts)
         return [part - self.share(len(part)).reshape(-1, *(1,) * (part.ndim - 2)) * part.mean(axis=0) for part in parts]
 
     def share(self, rows: int) -> Array:
-        """Return the share of the mean of so many rows that is taken out of each channel, (C,)."""
+        """Return the subtracted share of the mean in each channel for so many rows, (C,)."""
         return 1.0 - 1.0 / np.sqrt(self._beyond_noise(rows))
 
     def log_likelihood(self, rows: Sequence[int]) -> float:
-        """Return the log likelihood of flights of so many rows beyond the squares: ``-sum log(1 + n w s²) / 2``."""
+        """Return the log likelihood term of flights with these numbers of rows: ``-sum log(1 + n w s²) / 2``."""
         return -0.5 * float(sum(np.log(self._beyond_noise(count)).sum() for count in rows))
 
     def _beyond_noise(self, rows: int) -> Array:
@@ -54,5 +54,5 @@ class OwnOffsets:
 
 
 def no_offsets(weight: Array) -> OwnOffsets:
-    """Return those of flights that have none, with the weight of one row, (C,)."""
+    """Return a model without offsets, given the weight of one row, (C,)."""
     return OwnOffsets(size=np.zeros(weight.size), weight=weight, most=np.zeros(weight.size))

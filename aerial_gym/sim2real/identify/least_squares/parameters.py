@@ -1,4 +1,4 @@
-"""Parameters of effects in a row: which of them are numbers, their scales, their bounds, and a model with others."""
+"""Parameter vectors of effects: which entries are numbers, scales, bounds and replacement in a model."""
 
 from collections.abc import Sequence
 
@@ -11,28 +11,28 @@ from aerial_gym.sim2real.predict.model_params import ModelParams
 
 
 def is_number(effect: str, place: int) -> bool:
-    """Return whether a parameter is one that a fit may change: not the number of a rotor, nor a convention."""
+    """Return whether a parameter is continuous and can be fitted, unlike a rotor number or a convention."""
     return EFFECTS.get(effect).parameters[place].kind == "number"
 
 
 def scales(effects: Sequence[str]) -> Array:
-    """Return the scale of each parameter of some effects."""
+    """Return the scales of the effects' parameters as a vector."""
     return np.array([parameter.scale for name in effects for parameter in EFFECTS.get(name).parameters])
 
 
 def params_of(params: ModelParams, effects: Sequence[str]) -> Array:
-    """Return the parameters of some effects in a row."""
+    """Return the parameters of some effects as a vector."""
     return np.concatenate([params.effects[name] for name in effects]) if effects else np.zeros(0)
 
 
 def bounds_of(robot: RobotCfg, effects: Sequence[str]) -> tuple[Array, Array]:
-    """Return the lowest and highest possible values of the parameters of some effects in a row."""
+    """Return the lower and upper bounds of the effects' parameters as vectors."""
     pairs = [pair for name in effects for pair in EFFECTS.get(name).bounds(robot)]
     return np.array([low for low, _ in pairs]), np.array([high for _, high in pairs])
 
 
 def with_params(robot: RobotCfg, params: ModelParams, effects: Sequence[str], values: Array) -> ModelParams:
-    """Return the parameters with other parameters, held within their bounds."""
+    """Return the model with new parameters, clipped to their bounds."""
     clipped, start = np.clip(values, *bounds_of(robot, effects)), 0
     for name in effects:
         width = len(EFFECTS.get(name).parameters)

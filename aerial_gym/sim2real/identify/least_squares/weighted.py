@@ -1,7 +1,7 @@
-"""Derivatives times the root of the weight, channel by channel, and the sums of their products over blocks of time.
+"""Derivatives times the square root of the channel weights, and their products over time blocks.
 
-Much of a derivative is zero: a structure moves one channel, a bias of a sensor too. A column is kept only in the channels that
-it moves.
+Many derivatives are zero: a structure or a sensor bias affects one channel. So columns are stored only for the channels
+that they affect.
 Letters: T rows of a flight, c channels of C, P parameters of a part, K of all parts, B blocks.
 """
 
@@ -19,22 +19,22 @@ from aerial_gym.sim2real.predict.nonzero import not_zero
 
 @dataclass(frozen=True, kw_only=True)
 class InChannels:
-    """Derivatives of a flight by P parameters that are zero in all other channels, and by all other parameters."""
+    """Derivatives of a flight by P parameters, stored sparsely: zero in other channels and parameters."""
 
     values: NDArray[np.floating]
-    """By p of the parameters, neighbours, (T, c, p)."""
+    """Derivatives by p consecutive parameters, (T, c, p)."""
 
     channels: tuple[int, ...]
-    """Which c of the C channels."""
+    """Indices of the c channels among all C."""
 
     width: int
-    """P."""
+    """Number of parameters P."""
 
     first: int = 0
-    """Which parameter is the first of the p."""
+    """Index of the first of the p parameters."""
 
     def of_channels(self, channels: Sequence[int]) -> NDArray[np.floating]:
-        """Return the columns of some channels, (T, channels, P)."""
+        """Return the dense columns of some channels, (T, channels, P)."""
         found = np.zeros((self.width, len(channels), len(self.values)), dtype=self.values.dtype).T
         own = slice(self.first, self.first + self.values.shape[2])
         for place, channel in enumerate(channels):
@@ -44,7 +44,7 @@ class InChannels:
 
 
 def where_moved(flights: Sequence[NDArray[np.floating]]) -> list[InChannels]:
-    """Return derivatives (T, C, P) in single precision, without the channels in which they are zero in all flights."""
+    """Return derivatives (T, C, P) in single precision, without channels that are zero in all flights."""
     moved = tuple(np.flatnonzero(np.any([not_zero(part, axis=(0, 2)) for part in flights], axis=0)).tolist())
     return [
         InChannels(values=part.T[:, list(moved)].astype(np.float32).T, channels=moved, width=part.shape[2])
@@ -57,22 +57,22 @@ Part = NDArray[np.floating] | InChannels
 
 
 def width_of(parts: Sequence[Part]) -> int:
-    """Return K."""
+    """Return the total number K of parameters."""
     return sum(part.width if isinstance(part, InChannels) else part.shape[2] for part in parts)
 
 
 class Weighted:
-    """Derivatives of all flights by K parameters, times the root of the weight of each channel."""
+    """Derivatives of all flights by K parameters, times the square root of the channel weights."""
 
     def __init__(self, flights: Sequence[Sequence[Part]], offsets: OwnOffsets) -> None:
-        """Take the parts of each flight, that lie one behind the other in K.
+        """Store the parts of each flight, which are consecutive among the K columns.
 
-        ``offsets`` of flights, with the weight of one row, (C,), are integrated out.
+        Random flight ``offsets``, with the weight of one row (C,), are integrated out.
         """
         self.width = width_of(flights[0])
         root = np.sqrt(offsets.weight)
         self.columns = [_gathered(parts, root) for parts in flights]
-        """Of each flight, for each channel: which of the K, and they, (T, k)."""
+        """By flight and channel: indices among the K columns, and their values (T, k)."""
         for own in self.columns if offsets.any else ():
             for channel in np.flatnonzero(offsets.size):
                 columns = own[channel][1]
@@ -81,7 +81,7 @@ class Weighted:
 
 
 def _gathered(parts: Sequence[Part], root: Array) -> list[tuple[Indices, Array]]:
-    """Return the columns that are not zero in each channel, and they times its ``root``, (T, k)."""
+    """Return the nonzero columns of each channel: their indices, and their values times ``root``, (T, k)."""
     found: list[tuple[list[Indices], list[Array]]] = [([], []) for _ in root]
     start = 0
     for part in parts:
@@ -105,7 +105,7 @@ def _gathered(parts: Sequence[Part], root: Array) -> list[tuple[Indices, Array]]
 
 
 def product_of(one: Weighted, other: Weighted) -> Array:
-    """Return ``sum w J_one J_other^T`` of all rows, (K, K')."""
+    """Return ``sum w J_one J_other^T`` over all rows, (K, K')."""
     found = np.zeros((one.width, other.width))
     for mine, theirs in zip(one.columns, other.columns, strict=True):
         for (here, a), (there, b) in zip(mine, theirs, strict=True):
@@ -115,10 +115,10 @@ def product_of(one: Weighted, other: Weighted) -> Array:
 
 
 class Blocks:
-    """Equal parts of flights, and sums over them."""
+    """Equal parts of flights, with sums over them."""
 
     def __init__(self, times: Sequence[Array], parts: int = 1) -> None:
-        """Take the times of the rows of each flight [s], and in how many parts each flight is."""
+        """Store the row times of each flight [s] and the number of parts per flight."""
         split = [own for time in times for own in np.array_split(np.arange(time.size), parts)]
         self.rows = [slice(int(own[0]), int(own[-1]) + 1) for own in split]
         self.of_flight = [range(first, first + parts) for first in range(0, len(split), parts)]
@@ -138,7 +138,7 @@ class Blocks:
 
 
 class Beside:
-    """What is fitted beside effects, tolerances and structures, with the sums that are the same for all effects."""
+    """Nuisance columns (tolerances and structures), with the sums that all effects share."""
 
     def __init__(
         self,
@@ -149,31 +149,31 @@ class Beside:
         parts: int = 1,
         offsets: OwnOffsets | None = None,
     ) -> None:
-        """Take times of rows [s], the derivatives, the weight of one row (C,), and in how many parts each flight is.
+        """Store row times [s], derivatives, the weight of one row (C,) and the number of parts per flight.
 
-        ``offsets`` that flights have of their own are integrated out of all.
+        Random flight ``offsets`` are integrated out.
         """
         self.offsets = no_offsets(weight) if offsets is None else offsets
         self.log_likelihood = self.offsets.log_likelihood([time.size for time in times])
-        """Of the flights, beyond the squares."""
+        """Log likelihood term of the offsets, in addition to the squares."""
 
         self.blocks = Blocks(times, parts)
         self.columns = Weighted(flights, self.offsets)
         self.product = self.blocks.products(self.columns, self.columns)
-        """Of each block, (B, N, N)."""
+        """Sums of products of each block, (B, N, N)."""
 
         self.whole = self.product.sum(axis=0)
-        """Of all blocks, (N, N)."""
+        """Sums over all blocks, (N, N)."""
 
     @property
     def width(self) -> int:
-        """Return the number N of columns."""
+        """Return the number of nuisance columns N."""
         return self.columns.width
 
     def moments(self, residuals: Sequence[Array], own: Sequence[Array]) -> Moments:
-        """Return the sums over blocks, of all channels together, for residuals (T, C) and derivatives (T, C, P) by effects.
+        """Return the block sums over all channels, for residuals (T, C) and derivatives (T, C, P) by effects.
 
-        The columns beside are behind those of the effects.
+        The nuisance columns follow those of the effects.
         """
         width = own[0].shape[2]
         front = Weighted([(j, r[:, :, None]) for j, r in zip(own, residuals, strict=True)], self.offsets)
@@ -199,9 +199,9 @@ def weighted_moments(
     *,
     parts: int = 1,
 ) -> Moments:
-    """Return the sums over blocks, of all channels together: as ``block_moments``, with one channel of weight one.
+    """Return the block sums over all channels, like ``block_moments`` with a single channel of weight 1.
 
-    Flight by flight: the columns of all flights need not be held a second time.
+    Flights are treated one by one to save memory.
     """
     return of_flights(
         [
@@ -212,7 +212,7 @@ def weighted_moments(
 
 
 def moments_by_channel(residuals: Sequence[Array], flights: Sequence[Sequence[Part]]) -> Moments:
-    """Return the sums over whole flights, channel by channel: as ``block_moments`` of an infinite length."""
+    """Return the sums over whole flights by channel, like ``block_moments`` with infinite length."""
     channels, width = residuals[0].shape[1], width_of(flights[0])
     found = np.zeros((len(flights), channels, width + 1, width + 1))
     for own, parts, residual in zip(found, flights, residuals, strict=True):

@@ -1,4 +1,4 @@
-"""What a channel counts in a fit: by what is left of it when every effect that could be there is fitted."""
+"""Channel weights from the residual with all candidate effects fitted."""
 
 from collections.abc import Callable, Sequence
 
@@ -24,11 +24,11 @@ def weighting(
     *,
     beyond: Callable[[list[Array], Weighting], list[Array]] | None = None,
 ) -> Weighting:
-    """Return the weights of the channels from what no candidate effect explains.
+    """Return the channel weights from the residual that no candidate effect explains.
 
-    All effects and what is ``linear`` beside them, tolerances among it, (rows, C, any) each, are fitted together, three times,
-    each time weighted by what the fit before left over; with ``beyond``, by what that makes of it. ``own`` are the derivatives
-    by the effects at the start, (rows, C, P), and are mended in place.
+    All effects and the ``linear`` columns (rows, C, any), with tolerances, are fitted jointly three times. Each fit uses
+    the weights of the last residual, or of ``beyond`` applied to it. ``own``: derivatives by the effects at the start,
+    (rows, C, P), updated in place.
     """
     params = start
     predicted = predictor.predict(params)
@@ -45,7 +45,7 @@ def weighting(
         for part, along in zip((own, *linear), (step, *steps), strict=True):
             left = [r - change_along(columns, along) for r, columns in zip(left, part, strict=True)]
         if not all(np.isfinite(part).all() for part in left):
-            break  # a step too far, for a pendulum: the weights of the step before stand
+            break  # step beyond a pendulum's range: keep the previous weights
         found = weights_from(left if beyond is None else beyond(left, found))
         here = params_of(params, effects)
         params = with_params(predictor.robot, params, effects, here + scales(effects) * step)

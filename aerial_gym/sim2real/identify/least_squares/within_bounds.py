@@ -1,4 +1,4 @@
-"""The minimum of a quadratic function within bounds.
+"""Minimum of a quadratic function within bounds.
 
 Letters: K parameters.
 """
@@ -9,20 +9,20 @@ from scipy.optimize import lsq_linear
 from aerial_gym.sim2real.arrays import Array
 
 MOST_ROUNDS = 20
-"""Of guessing which parameters end at their bounds, which nearly always takes two or three."""
+"""Most iterations of the active set, which usually needs two or three."""
 
 
 def minimum_within(a: Array, b: Array, low: Array, high: Array) -> Array:
-    """Return where ``x a x / 2 - b x`` is least within bounds; NaN where a number is not finite.
+    """Return the minimiser of ``x a x / 2 - b x`` within bounds; NaN for non-finite input.
 
-    Which parameters end at a bound is guessed from where they would go and what pulls at them, until the guess is true: then
-    the conditions for a minimum hold exactly. In the rare case that it goes round in circles scipy takes over.
+    A primal-dual active set gives the exact conditions of the minimum once it repeats. In the rare case of a cycle,
+    scipy solves the problem.
 
     Args:
         a: Positive definite, (K, K).
-        b: (K,).
-        low: Lowest values, (K,), not above 0.
-        high: Highest values, (K,), not below 0.
+        b: Linear coefficients, (K,).
+        low: Lower bounds, (K,), at most 0.
+        high: Upper bounds, (K,), at least 0.
 
     Source:
         Hintermueller, Ito, Kunisch (2002), The primal-dual active set strategy as a semismooth Newton method, SIAM Journal on
@@ -32,7 +32,7 @@ def minimum_within(a: Array, b: Array, low: Array, high: Array) -> Array:
         return np.full(b.size, np.nan)
     found, held = np.linalg.solve(a, b), np.zeros(b.size)
     for _ in range(MOST_ROUNDS):
-        target = found + (b - a @ found) / np.diag(a)  # what is free stays, what is held goes where it is pulled
+        target = found + (b - a @ found) / np.diag(a)  # free entries stay, bounded ones follow the gradient
         now = 1.0 * (target > high) - 1.0 * (target < low)
         if np.array_equal(now, held):
             return found
