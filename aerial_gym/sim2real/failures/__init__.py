@@ -1,1 +1,1 @@
-"""Failures in flight: a rotor or the supply does something else from a moment on."""
+"""Detection of failures in flight: rotors or power supply that deviate from a certain time on."""

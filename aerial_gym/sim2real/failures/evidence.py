@@ -1,16 +1,14 @@
-"""The evidence of every onset of a failure at once, from running sums over blocks of time.
+"""Log evidence of failures for all onset times at once, from cumulative sums over time blocks.
 
-Without a failure a rotor does ``y = e + N b + noise``: what is expected, columns N of what an expectation may be off by all
-along, and white noise. With one it does more by ``a z`` from the onset on: z is what of the expectation goes with the rotor
-itself, so that ``1 + a`` is the share that is left. Of every onset k the least squares follow from the sums from block k on,
-
+Without a failure a rotor's output is ``y = e + N b + noise``: expectation e, columns N of its possible errors, and white
+noise. A failure adds ``a z`` from its onset on, with z the rotor's own part of the expectation; ``1 + a`` is the remaining
+share. For onset k, the least-squares solution follows from the sums from block k on:
     z'z,  z'r,  z'N        (r = y - e),
     M_zz = z'z - z'N (N'N)⁻¹ N'z,   M_zr = z'r - z'N (N'N)⁻¹ N'r,   a = M_zr / M_zz,   RSS(k) = RSS - M_zr² / M_zz
-
-(Frisch, Waugh, Lovell), those of a rotor that sticks from the sums up to k and those from k on, and those of a brown-out, which
-ends, from differences of sums. The noise is unknown: the log likelihood is ``-(n / 2) log(RSS / n + s²)``, n the independent
-values, s how far off a careful declaration is anyway (``Tolerances``), so that nothing smaller is called a failure. The log
-evidence against no failure is Laplace's, with a Cauchy prior of the effect's scale, as in ``identify/evidence/laplace.py``.
+(Frisch, Waugh, Lovell). A stuck rotor needs the sums before and after k, and a brown-out, which ends, differences of sums.
+The noise is unknown, so the log likelihood is ``-(n / 2) log(RSS / n + s²)`` with n independent values. The declaration's
+tolerance s (``Tolerances``) prevents smaller deviations from counting as failures. The log evidence against no failure is
+Laplace's approximation with a Cauchy prior of the effect's scale, as in ``identify/evidence/laplace.py``.
 
 Letters: K blocks, R rotors, Q columns, D durations.
 
@@ -28,32 +26,32 @@ from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.failures.rotor_work import RotorWork
 
 FEWEST_BEFORE = 5
-"""Blocks before an onset."""
+"""Least number of blocks before an onset."""
 
 FEWEST_AFTER = {"speed": 2, "thrust": 10}
-"""Blocks after it: a rotor that touches something seems to lose thrust for a moment."""
+"""Least number of blocks after an onset, by quantity; a collision looks like a brief loss of thrust."""
 
 LONGEST = 100
-"""Blocks that a brown-out lasts that ended; one that goes on lasts as long as it likes."""
+"""Longest duration in blocks of a brown-out that ends."""
 
 CONTINUOUS = 0.1
-"""How far from its speed of a block ago a rotor sticks: standard deviation, in parts of hover."""
+"""Prior standard deviation of a stuck rotor's speed around that of the block before, relative to hover."""
 
 LOG_2PI = float(np.log(2.0 * np.pi))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Prior:
-    """Of one parameter: how far it is from its most probable value, and how far that may be."""
+    """Prior of one parameter: distance from its most probable value, and width."""
 
     away: Array
     scale: float
     normal: bool = False
-    """Whether it is normal, and not Cauchy's."""
+    """Whether it is normal instead of Cauchy."""
 
     @property
     def log_density(self) -> Array:
-        """Return the logarithm of its density."""
+        """Return the log density."""
         share = self.away / self.scale
         if self.normal:
             return -0.5 * (share**2 + LOG_2PI) - np.log(self.scale)
@@ -61,19 +59,19 @@ class Prior:
 
     @property
     def precision(self) -> Array | float:
-        """Return that of the normal density that stands for it."""
+        """Return the precision of the local normal approximation."""
         return self.scale**-2 if self.normal else 2.0 / (self.scale**2 + self.away**2)
 
 
 def log_evidence(before: Array | float, after: Array, count: float, prior: Prior, inner: Array) -> Array:
-    """Return the log evidence of one more parameter: likelihood, prior and the volume that the data leave of it.
+    """Return the log evidence of one more parameter: likelihood ratio, prior density and posterior volume.
 
     Args:
-        before: Mean square of the residual without it.
-        after: With it.
-        count: Independent residuals.
-        prior: Of the parameter.
-        inner: Sum of squares of its column over independent residuals, what is fitted beside it taken off.
+        before: Mean squared residual without the parameter.
+        after: Mean squared residual with it.
+        count: Number of independent residuals.
+        prior: Prior of the parameter.
+        inner: Sum of squares of its column, orthogonal to the jointly fitted columns, over independent residuals.
     """
     volume = 0.5 * (LOG_2PI - np.log(inner / after + prior.precision))
     return 0.5 * count * (np.log(before) - np.log(after)) + prior.log_density + volume
@@ -81,18 +79,18 @@ def log_evidence(before: Array | float, after: Array, count: float, prior: Prior
 
 @dataclass(frozen=True, kw_only=True)
 class Onsets:
-    """One kind of failure with every onset."""
+    """Log odds of one kind of failure for every onset."""
 
     kind: str
     log_odds: Array
-    """Against no failure, (K, R) by onset and rotor; of a brown-out (K, D + 1) by onset and duration, the last: to the end."""
+    """Against no failure, (K, R) by onset and rotor; for brown-outs (K, D + 1) by onset and duration, the last unlimited."""
 
     change: Array
-    """How much more than expected is done, relative; what a stuck rotor keeps, in parts of hover."""
+    """Relative change of output; for a stuck rotor the constant output relative to hover."""
 
 
 def _sums_before(values: Array) -> Array:
-    """Return the sums of the blocks before each, and of all, (K + 1, any)."""
+    """Return the cumulative sums before each block, and the total, (K + 1, any)."""
     return np.concatenate((np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)))
 
 
@@ -100,7 +98,7 @@ class Evidence:
     """Sums over the blocks of one quantity of all rotors."""
 
     def __init__(self, work: RotorWork, least: float) -> None:
-        """Take blocks, and how far off a careful declaration is anyway, in parts of hover."""
+        """Store the blocks and the tolerance of the declaration relative to hover, ``least``."""
         self.work, self.least = work, least
         self.residual, columns = work.done - work.expected, work.beside
         self.count, self.rotors = self.residual.shape
@@ -113,7 +111,7 @@ class Evidence:
         self._squares = _sums_before(self.residual**2)
         self.rss = np.maximum(self._squares[-1] - np.einsum("rq,rq->r", self._lean[-1], self.beside), 0.0)
         self._zz, self._zr = _sums_before(work.own**2), _sums_before(work.own * self.residual)
-        root = np.linalg.cholesky(self.inverse)  # columns that are orthonormal beside each other
+        root = np.linalg.cholesky(self.inverse)  # makes the columns orthonormal
         self._along = np.einsum("rqp,rq->rp", root, self._lean[-1])
         self._zn = np.einsum("krq,rqp->krp", _sums_before(work.own[..., None] * columns), root)
 
@@ -127,20 +125,20 @@ class Evidence:
         return rss / self.total + self.least**2
 
     def projected(self, begin: Indices, end: Indices) -> tuple[Array, Array]:
-        """Return M_zz and M_zr of columns that act from block ``begin`` to before block ``end``, (..., R) each."""
+        """Return M_zz and M_zr for changes from block ``begin`` to before block ``end``, (..., R) each."""
         across = self._zn[end] - self._zn[begin]
         inner = self._zz[end] - self._zz[begin] - (across**2).sum(axis=-1)
         return np.maximum(inner, 0.0), self._zr[end] - self._zr[begin] - (across * self._along).sum(axis=-1)
 
     def changes(self, kind: str, share: float = 1.0) -> Onsets:
-        """Return rotors that do more or less from an onset on; ``share`` of the values are independent."""
+        """Return the evidence of a lasting change per rotor for every onset; ``share``: independent share of the values."""
         onset = np.arange(self.count)
         inner, along = self.projected(onset, np.full(self.count, self.count))
         log_odds, change, _ = self.changed(kind, inner, along, share)
         return Onsets(kind=kind, log_odds=self._far_from_ends(log_odds), change=change)
 
     def brown_outs(self, kind: str, share: float = 1.0) -> Onsets:
-        """Return all rotors together that do more or less from an onset on, for a while or to the end."""
+        """Return the evidence of a common change of all rotors for every onset and duration."""
         onset, lasting = np.arange(self.count)[:, None], np.arange(1, LONGEST + 1)
         end = np.minimum(onset + lasting, self.count)
         end = np.concatenate((end, np.full((self.count, 1), self.count)), axis=1)
@@ -151,7 +149,7 @@ class Evidence:
         return Onsets(kind=kind, log_odds=self._far_from_ends(log_odds), change=change)
 
     def stuck(self, kind: str, share: float = 1.0) -> Onsets:
-        """Return rotors that do the same from an onset on, whatever is expected."""
+        """Return the evidence of a constant output per rotor for every onset, whatever is expected."""
         lean = self._lean[:-1]
         fitted = np.linalg.solve(self._gram[:-1] + self.ridge, lean[..., None])[..., 0]
         squares = self._squares[:-1] - (lean * fitted).sum(axis=-1)
@@ -167,7 +165,7 @@ class Evidence:
         return Onsets(kind=kind, log_odds=self._far_from_ends(found - np.log(self.rotors)), change=kept)
 
     def changed(self, kind: str, inner: Array, along: Array, share: float) -> tuple[Array, Array, Array]:
-        """Return log odds of columns with ``inner`` M_zz and ``along`` M_zr, the change, and its standard deviation."""
+        """Return log odds for ``inner`` M_zz and ``along`` M_zr, the relative change, and its standard deviation."""
         parameter = next(p for p in EFFECTS.get(kind).parameters if p.name == "scale")
         change = along / (inner + (self.least / parameter.scale) ** 2)
         change = np.clip(change, parameter.low - 1.0, parameter.high - 1.0)
@@ -179,7 +177,7 @@ class Evidence:
         return found - alike, change, np.sqrt(after / np.maximum(share * inner, 1e-300))
 
     def _far_from_ends(self, log_odds: Array) -> Array:
-        """Return log odds without onsets that have too little before or after them."""
+        """Return the log odds, minus infinity for onsets with too few blocks before or after."""
         onset = np.arange(self.count)
         few = (onset < FEWEST_BEFORE) | (onset > self.count - FEWEST_AFTER[self.work.quantity])
         return np.where(few.reshape(-1, *(1,) * (log_odds.ndim - 1)), -np.inf, log_odds)

@@ -1,7 +1,7 @@
-"""Events in single flights: a failure with its name, size and onset, each with an interval.
+"""Events in single flights: failures and sensor faults with name, size and onset, each with its interval.
 
-An event belongs to a flight, not to the vehicle: it has the name of the flight and a time in it. Rows after the onset of a
-failure are not compared with the vehicle as it was before. Letters: T rows, K blocks.
+An event belongs to a flight and has a time in it. Rows after a failure are not compared with the intact vehicle.
+Letters: T rows, K blocks.
 """
 
 from collections.abc import Sequence
@@ -27,33 +27,33 @@ from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.statistics import FALSE_ALARM_HOURS
 
 WINDOW_BLOCKS = 600
-"""Blocks that are looked at together: a minute."""
+"""Number of blocks analysed together: one minute."""
 
 SHORTEST_S = 2.0
-"""A flight with less before the failure has nothing to compare [s]."""
+"""Least time before a failure that leaves a usable flight [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlightEvent:
-    """An event in one flight, and its onset."""
+    """An event in one flight, with its onset."""
 
     flight: str
     name: str
     """motor_failure, weak_motor, stuck_rotor or brown_out; position_jump or sensor_dropout."""
 
     params: dict[str, float]
-    """As in robot files, ``time`` from the first row on [s]; ``speed`` is what a stuck rotor keeps [rad/s], or [N]; of a jump
-    ``x``, ``y``, ``z`` [m], world."""
+    """As in robot files. ``time`` is from the first row [s]; ``speed`` is the constant speed of a stuck rotor [rad/s], or its
+    thrust [N]; ``x``, ``y``, ``z`` are a position jump [m], world."""
 
     std: dict[str, float] = field(default_factory=dict)
-    """Of those that are numbers."""
+    """Standard deviations of the numeric parameters."""
 
     interval: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """95 %."""
+    """95 % intervals."""
 
     @property
     def time(self) -> float:
-        """Return the onset, from the first row of the log on [s]."""
+        """Return the onset from the first row of the log [s]."""
         return self.params["time"]
 
 
@@ -62,23 +62,23 @@ class Failure(FlightEvent):
     """A failure of a rotor or of the supply in one flight."""
 
     log_odds: float
-    """Of this failure against none, at its onset."""
+    """Log odds of this failure against none, at its onset."""
 
     probability: float
-    """That it is this one, on this rotor, if it is one of those that are known."""
+    """Probability of this failure and rotor among all known ones."""
 
     rival: str
-    """The most probable other failure, empty if there is none."""
+    """Most probable other failure; empty without one."""
 
     place: str = ""
-    """Place of the rotor on the vehicle, such as ``front left``; empty: of no single rotor, or not unique."""
+    """Place of the rotor, such as ``front left``; empty for all rotors or a place that is not unique."""
 
     unit: str = "rad_s"
-    """Unit of the state that a stuck rotor keeps: rad_s, or in force mode n."""
+    """Unit of a stuck rotor's state: rad_s, or n in force mode."""
 
     @property
     def finding(self) -> Finding:
-        """Return the failure with its numbers."""
+        """Return the failure with its numbers as a finding."""
         values: dict[str, object] = {"failure": self.name, "time_s": self.time}
         values |= dict(zip(("time_low_s", "time_high_s"), self.interval["time"], strict=True))
         if "motor" in self.params:
@@ -93,16 +93,16 @@ class Failure(FlightEvent):
         return Finding("failure_found", self.flight, values)
 
     def as_mapping(self) -> dict[str, object]:
-        """Return it for JSON."""
+        """Return the values for JSON."""
         told = fields_of(self, "flight", "name", "params", "std", "interval", "log_odds", "probability")
         return {**told, "rival": self.rival or None, "sentence": self.finding}
 
 
 def least_log_odds(false_alarm_hours: float) -> float:
-    """Return the logarithm of the least sum of odds (``sum_of_odds``) that counts as a failure.
+    """Return the log of the least sum of odds (``sum_of_odds``) that counts as a failure.
 
-    Without a failure the sum over onsets of the likelihood ratios grows by one a block on the average, for each has the mean
-    one: so the mean number of blocks to a false alarm is at least the limit.
+    Without a failure each likelihood ratio has mean 1, so their sum over onsets grows by 1 per block on average. The mean
+    number of blocks between false alarms is thus at least the limit.
 
     Source:
         Pollak (1985), Optimal detection of a change in distribution, Annals of Statistics 13 (Shiryaev-Roberts).
@@ -111,7 +111,7 @@ def least_log_odds(false_alarm_hours: float) -> float:
 
 
 class FailureFinder:
-    """Looks for failures in flights of a declared robot."""
+    """Finds failures in flights of a declared robot."""
 
     def __init__(
         self, robot: RobotCfg, *, tolerances: Tolerances | None = None, false_alarm_hours: float = FALSE_ALARM_HOURS
@@ -124,7 +124,7 @@ class FailureFinder:
         self._hover = hover_speed(self._vehicle, STANDARD_GRAVITY)
 
     def find_first(self, flight: Flight) -> Failure | None:
-        """Return the first failure of a flight, None if there is none: minute by minute, half of each again."""
+        """Return the first failure of a flight, or None; windows of a minute overlap by half."""
         works = self.works.of(flight)
         count = max((work.time.size for work in works), default=0)
         for begin in range(0, max(count - WINDOW_BLOCKS // 2, 1), WINDOW_BLOCKS // 2):
@@ -136,7 +136,7 @@ class FailureFinder:
         return None
 
     def find_in_blocks(self, works: Sequence[RotorWork], flight: str) -> Failure | None:
-        """Return the failure that blocks show, None if the sum of the odds stays below the limit."""
+        """Return the failure that the blocks show; None if the sum of odds is below the limit."""
         causes = causes_of(works, self._tolerances)
         if not sum_of_odds(causes) > self.limit:
             return None
@@ -146,7 +146,7 @@ class FailureFinder:
         return self._failure(ranked[0], flight, probability, ranked[1].cause if len(ranked) > 1 else None)
 
     def _failure(self, event: Timed, flight: str, probability: float, rival: Cause | None) -> Failure:
-        """Return the failure in the parameters of its effect."""
+        """Return the failure with the parameters of its effect."""
         cause, work = event.cause, event.cause.work
         params, std, interval = dict[str, float](), dict[str, float](), dict[str, tuple[float, float]]()
         if cause.rotor is not None:
@@ -156,7 +156,7 @@ class FailureFinder:
             name = "speed"
         else:
             off = event.std
-            if work.quantity == "thrust":  # the change is a share of declared thrust
+            if work.quantity == "thrust":  # the change is relative to declared thrust
                 off = hypot(off, event.change * self._tolerances.thrust, event.change * self._tolerances.mass)
             values = [self._share(cause, 1.0 + event.change + step * off) for step in (0.0, -1.96, 1.96)]
             name = "scale"
@@ -180,7 +180,7 @@ class FailureFinder:
         )
 
     def _share(self, cause: Cause, done: float) -> float:
-        """Return a share of what is expected as one of what is commanded: by the map of thrust, where motion alone tells."""
+        """Return the remaining share of the command; a share of thrust is converted by the thrust map."""
         if cause.kind == "weak_motor" or cause.work.quantity == "speed":
             return max(done, 0.0)
         hover = self._hover[None]
@@ -188,7 +188,7 @@ class FailureFinder:
         return float((state / hover).mean())
 
     def _state(self, cause: Cause, done: float) -> float:
-        """Return the state of a rotor that does a part of what it does in hover."""
+        """Return the state of a rotor with a given output relative to hover."""
         assert cause.rotor is not None
         hover = self._hover[None]
         if cause.work.quantity == "speed":
@@ -198,7 +198,7 @@ class FailureFinder:
 
 
 def until_failure(flights: Sequence[Flight], failures: Sequence[Failure]) -> list[Flight]:
-    """Return flights up to their failures, those that have too little before them left out."""
+    """Return the flights up to their failures, without those that are too short before them."""
     onset = {failure.flight: failure.interval["time"][0] for failure in failures}
     parts = []
     for flight in flights:
@@ -210,9 +210,9 @@ def until_failure(flights: Sequence[Flight], failures: Sequence[Failure]) -> lis
 
 
 def same_in_all(failures: Sequence[Failure], flights: int) -> Failure | None:
-    """Return the failure that so many flights all have: the same rotor, size and time within intervals; None if not.
+    """Return the failure common to all of so many flights: same rotor, and size and time within intervals; else None.
 
-    Its numbers are the means of the flights.
+    Its numbers are the means over the flights.
     """
     if len(failures) < flights or len({(f.name, f.params.get("motor")) for f in failures}) != 1:
         return None

@@ -1,13 +1,13 @@
-"""What each rotor was to do and did, block of time by block: speeds that commands lead to, and thrusts that motion needs.
+"""Expected and actual output of each rotor per time block: speeds, and the thrusts that the motion requires.
 
-Two quantities of each rotor are followed, as far as a log has them:
+Two quantities per rotor are compared, if a log has them:
 
-- *speed*: measured, against what commands lead to by the declared lag;
-- *thrust*: ``A⁺ w``, with w force and torque that the measured motion needs and A what rotors of unit thrust make, against
-  ``A⁺ A T``, T the declared thrusts at the measured speeds, or at those that commands lead to. Over a block the torque is
-  ``J (w(end) - w(start)) / length + mean(w x J w)``, so that the noise of the gyro is not differentiated further.
+- *speed*: measured, against the commands with the declared lag;
+- *thrust*: ``A⁺ w`` against ``A⁺ A T``. Here w is the force and torque of the measured motion, A the allocation matrix, and
+  T the declared thrusts at measured speeds, or at those from commands. The block torque is
+  ``J (w(end) - w(start)) / length + mean(w x J w)``, which limits the differentiation of gyro noise.
 
-In parts of what a rotor does in hover. Frames: body is x forward, y left, z up. Letters: T rows, K blocks, R rotors, Q columns.
+Outputs are relative to hover. Frames: body is x forward, y left, z up. Letters: T rows, K blocks, R rotors, Q columns.
 """
 
 from dataclasses import dataclass, replace
@@ -28,58 +28,58 @@ from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rows.rotor_estimate import rotors_of
 
 BLOCK_S = 0.1
-"""Length of a block [s]: some lags of a motor."""
+"""Length of a block [s], several motor time constants."""
 
 FASTEST = 5.0
-"""Air speed at which a rotor's thrust may be off by all that it gives in hover [m/s]: scale of a column."""
+"""Scale of the airspeed columns [m/s]: airspeed at which thrust may be wrong by its hover value."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RotorWork:
-    """One quantity of all rotors in every block, in parts of what a rotor does in hover."""
+    """One quantity of all rotors in every block, relative to hover."""
 
     quantity: str
     """speed or thrust."""
 
     driven_by: str
-    """command or speed: where the expectation comes from."""
+    """Source of the expectation: command or speed."""
 
     time: Array
-    """Begin of each block [s], (K,)."""
+    """Start of each block [s], (K,)."""
 
     length: float
-    """Of a block [s]."""
+    """Length of a block [s]."""
 
     lag: float
-    """With which it follows a change of the command [s]; 0 where it is driven by a speed."""
+    """Lag behind a change of the command [s]; 0 if speeds are the source."""
 
     done: Array
-    """(K, R)."""
+    """Actual output, (K, R)."""
 
     expected: Array
-    """(K, R)."""
+    """Expected output, (K, R)."""
 
     own: Array
-    """Part of the expectation that goes with the rotor itself, (K, R)."""
+    """Part of the expectation that the rotor itself causes, (K, R)."""
 
     beside: Array
-    """What else an expectation may be off by, as columns, (K, R, Q)."""
+    """Columns of possible errors of the expectation, (K, R, Q)."""
 
     def rows(self, chosen: slice | Flags) -> "RotorWork":
-        """Return some of the blocks."""
+        """Return the selected blocks."""
         return replace(self, **{name: getattr(self, name)[chosen] for name in OF_BLOCKS})
 
     def followed_by(self, other: "RotorWork") -> "RotorWork":
-        """Return these blocks and then those of another part of the flight."""
+        """Return these blocks followed by those of a later part of the flight."""
         return replace(self, **{n: np.concatenate((getattr(self, n), getattr(other, n))) for n in OF_BLOCKS})
 
 
 OF_BLOCKS = ("time", "done", "expected", "own", "beside")
-"""Fields of a ``RotorWork`` that have a row for each block."""
+"""Fields of ``RotorWork`` with one row per block."""
 
 
 class RotorWorks:
-    """Follows the rotors of a declared robot along flights."""
+    """Computes the rotor outputs of a declared robot along flights."""
 
     def __init__(self, robot: RobotCfg) -> None:
         self._model = rotors_of(robot)
@@ -93,9 +93,9 @@ class RotorWorks:
         self._lag = mean_lag(robot)
 
     def of(self, flight: Flight, *, volts: float | None = None) -> list[RotorWork]:
-        """Return the quantities of a flight that its log has, in whole blocks.
+        """Return the quantities that a flight's log provides, in complete blocks.
 
-        ``volts`` is the voltage of the battery about which it varies [V]; None: its mean.
+        ``volts``: reference voltage of the battery [V]; None: its mean.
         """
         size = max(1, round(BLOCK_S * flight.rate))
         count = (flight.num_rows - 1) // size
@@ -162,6 +162,6 @@ class RotorWorks:
 
 
 def _means(rows: Array, size: int, count: int) -> Array:
-    """Return the mean over each block of rows (T, any), by trapezoids from its first row to that of the next, (K, any)."""
+    """Return the trapezoidal mean over each block of rows (T, any), up to the next block's first row, (K, any)."""
     between = 0.5 * (rows[:-1] + rows[1:])
     return between[: count * size].reshape(count, size, -1).mean(axis=1)

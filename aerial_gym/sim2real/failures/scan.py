@@ -1,4 +1,4 @@
-"""Which failure the blocks of a flight show, if any: how sure that is, which one it is, how large, and since when.
+"""Search for failures in the blocks of a flight: probability, kind, size and onset.
 
 Letters: K blocks, R rotors, G onsets of a fine grid.
 """
@@ -19,49 +19,49 @@ KINDS = {
     ("thrust", "command"): ("motor_failure", "stuck_rotor", "brown_out"),
     ("thrust", "speed"): ("weak_motor",),
 }
-"""Failures that a quantity shows, by what drives its expectation."""
+"""Kinds of failure by quantity and source of its expectation."""
 
 FINE_S = 0.005
-"""Step of the onsets between which the time is found at last [s]."""
+"""Step of the final onset grid [s]."""
 
 AROUND = 3
-"""Blocks on each side of the most probable one in which they lie."""
+"""Number of blocks on each side of the most probable one that the grid covers."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cause:
-    """One failure with its most probable onset, as far as blocks tell."""
+    """One kind of failure on one rotor, with its most probable onset block."""
 
     work: RotorWork
     evidence: Evidence
     kind: str
     rotor: int | None
-    """From 0 on; None: all."""
+    """Rotor from 0; None: all."""
 
     log_odds: float
-    """Of all its onsets against no failure."""
+    """Log odds of all its onsets against no failure."""
 
     begin: int
-    """Block of the most probable onset."""
+    """Most probable onset block."""
 
     end: int | None
-    """Block before which it ends; None: it goes on."""
+    """First block after its end; None: it lasts."""
 
     change: float
 
     @property
     def name(self) -> str:
-        """Return what it is, on which rotor."""
+        """Return the kind and rotor in words."""
         return self.kind if self.rotor is None else f"{self.kind} of rotor {self.rotor + 1}"
 
     def share(self) -> float:
-        """Return which share of the residuals beside it are independent, rotors by what is left of them."""
+        """Return the share of independent residuals with this failure, weighted by the rotors' squared residuals."""
         left = self.residual()
         squares = (left**2).sum(axis=0)
         return float((effective_share(left) * squares).sum() / max(squares.sum(), 1e-300))
 
     def residual(self) -> Array:
-        """Return what it leaves of every rotor, (K, R)."""
+        """Return the residuals of every rotor with this failure fitted, (K, R)."""
         work, left = self.work, self.evidence.residual.copy()
         own = range(left.shape[1]) if self.rotor is None else [self.rotor]
         part = slice(self.begin, self.end)
@@ -79,14 +79,14 @@ class Cause:
 
 
 def tolerated(quantity: str, tolerances: Tolerances) -> float:
-    """Return how far off a careful declaration is, in parts of hover: thrust goes with the square of speed."""
+    """Return the tolerance of the declared thrust, or half of it for speed, since thrust is quadratic in speed."""
     return tolerances.thrust if quantity == "thrust" else 0.5 * tolerances.thrust
 
 
 def causes_of(works: Sequence[RotorWork], tolerances: Tolerances) -> list[Cause]:
-    """Return every failure that the quantities of a flight can show, the most probable first; their odds go with the sum.
+    """Return all failures that the quantities of a flight can show, the most probable first; their sum of odds decides.
 
-    Residuals that remember count as fewer, as in fits (``effective_share``), by what the most probable failure leaves.
+    Autocorrelated residuals count less (``effective_share``), by those of the most probable failure.
     """
     kinds = sum(len(KINDS[work.quantity, work.driven_by]) for work in works)
     found: list[Cause] = []
@@ -100,12 +100,12 @@ def causes_of(works: Sequence[RotorWork], tolerances: Tolerances) -> list[Cause]
 
 
 def sum_of_odds(causes: Sequence[Cause]) -> float:
-    """Return the logarithm of the sum over failures and onsets of the odds against no failure, each failure as probable."""
+    """Return the log of the sum of odds over failures and onsets, with equal prior probabilities of the kinds."""
     return float(np.logaddexp.reduce([cause.log_odds for cause in causes])) if causes else -np.inf
 
 
 def _causes(evidence: Evidence, share: float, kinds: int) -> list[Cause]:
-    """Return each failure of one quantity, on each rotor; ``kinds`` are as probable as each other."""
+    """Return each failure of one quantity per rotor; ``kinds``: number of kinds with equal prior probability."""
     found = []
     for kind in KINDS[evidence.work.quantity, evidence.work.driven_by]:
         onsets = _onsets(evidence, kind, share)
@@ -136,27 +136,27 @@ def _onsets(evidence: Evidence, kind: str, share: float) -> Onsets:
 
 @dataclass(frozen=True, kw_only=True)
 class Timed:
-    """A failure with its time between blocks."""
+    """A failure with its onset resolved within blocks."""
 
     cause: Cause
     log_odds: float
-    """Of its onsets on the fine grid, one a block, against no failure."""
+    """Log odds of its onsets on the fine grid, one per block on average, against no failure."""
 
     time: float
-    """[s]."""
+    """Onset [s]."""
 
     interval: tuple[float, float]
-    """95 % [s]."""
+    """95 % interval [s]."""
 
     end: float | None
-    """[s]; None: it goes on."""
+    """End [s]; None: it lasts."""
 
     change: float
     std: float
 
 
 def timed(cause: Cause) -> Timed:
-    """Return a failure with the onset, and the end, on a grid of ``FINE_S`` around its blocks."""
+    """Return a failure with onset and end on a grid of ``FINE_S`` around its blocks."""
     share, work = cause.share(), cause.work
     times = _grid(work, cause.begin)
     end = None if cause.end is None else float(work.time[min(cause.end, len(work.time) - 1)])
@@ -187,21 +187,21 @@ def timed(cause: Cause) -> Timed:
 
 
 def _grid(work: RotorWork, block: int) -> Array:
-    """Return times [s] around the beginning of a block, (G,)."""
+    """Return grid times [s] around the start of a block, (G,)."""
     middle = work.time[min(block, len(work.time) - 1)]
     times = middle + np.arange(-AROUND * work.length, (AROUND + 1) * work.length, FINE_S)
     return times[(times >= work.time[0]) & (times <= work.time[-1] + work.length)]
 
 
 def _profile(work: RotorWork, begin: Array, end: Array | float | None) -> Array:
-    """Return which share of a change is there in each block, (G, K), for changes that begin at times (G,), and may end."""
+    """Return the share of a change in each block, (G, K), for onsets (G,) and an optional end, with the lag."""
     share = _risen(work, begin)
     return share if end is None else share - _risen(work, np.broadcast_to(end, begin.shape))
 
 
 def _risen(work: RotorWork, begin: Array) -> Array:
-    """Return the mean over each block of ``1 - exp(-(t - begin) / lag)`` from its beginning on, (G, K)."""
-    since = np.clip(work.time + work.length - begin[:, None], 0.0, None)  # at the end of the block
+    """Return the mean over each block of ``1 - exp(-(t - begin) / lag)`` after the onset, (G, K)."""
+    since = np.clip(work.time + work.length - begin[:, None], 0.0, None)  # at the block's end
     before = np.clip(work.time - begin[:, None], 0.0, None)
     risen = since - before
     if work.lag > 0.0:
@@ -210,7 +210,7 @@ def _risen(work: RotorWork, begin: Array) -> Array:
 
 
 def _changed_at(cause: Cause, profile: Array, share: float) -> tuple[Array, Array, Array]:
-    """Return log odds, change and its standard deviation, (G,) each, of a change that blocks have by a profile (G, K)."""
+    """Return log odds, change and its standard deviation, (G,) each, for a change with profiles (G, K)."""
     evidence, work = cause.evidence, cause.work
     rotors = slice(None) if cause.rotor is None else slice(cause.rotor, cause.rotor + 1)
     own = work.own[:, rotors]
@@ -224,7 +224,7 @@ def _changed_at(cause: Cause, profile: Array, share: float) -> tuple[Array, Arra
 
 
 def _stuck_at(cause: Cause, times: Array, share: float) -> tuple[Array, Array, Array]:
-    """Return log odds, what is kept and its standard deviation, (G,) each, of a rotor that sticks at some times."""
+    """Return log odds, constant output and its standard deviation, (G,) each, for a rotor stuck from ``times`` (G,) on."""
     evidence, work, rotor = cause.evidence, cause.work, cause.rotor
     assert rotor is not None
     after = np.clip((work.time + work.length - times[:, None]) / work.length, 0.0, 1.0)  # (G, K)

@@ -1,7 +1,7 @@
-"""Faults of sensors in a flight that is being flown: a position that jumps, a sensor that stops.
+"""Detection of sensor faults during a flight: position jumps and sensors that stop.
 
-The rules are those by which whole logs are looked through (``logs.position_jumps``, ``logs.repeated_samples``), on the last
-seconds of the flight. Letters: T rows.
+The rules are those for complete logs (``logs.position_jumps``, ``logs.repeated_samples``), applied to the last seconds.
+Letters: T rows.
 """
 
 from collections.abc import Iterator
@@ -24,19 +24,19 @@ from aerial_gym.sim2real.logs.signals import uniform_log
 from aerial_gym.sim2real.plain import fields_of
 
 WINDOW_S = 20.0
-"""Of a flight that are looked at together [s]: what differences of a position are without a jump has to be seen."""
+"""Analysed time span [s], long enough to estimate the scatter of position differences."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SensorFault(FlightEvent):
-    """A jump of the position, or a sensor that gives nothing new."""
+    """A position jump, or a sensor without new values."""
 
     sensor: str
-    """Which, as in a ``FlightLog``."""
+    """Field of ``FlightLog``."""
 
     @property
     def finding(self) -> Finding:
-        """Return the fault with its numbers."""
+        """Return the fault with its numbers as a finding."""
         if self.name == "sensor_dropout":
             return Finding("sensor_dropout", self.flight, {"sensor": self.sensor, "time_s": self.time})
         size = {"size_m": [self.params[a] for a in "xyz"], "half_width_m": [1.96 * self.std[a] for a in "xyz"]}
@@ -45,40 +45,40 @@ class SensorFault(FlightEvent):
         )
 
     def as_mapping(self) -> dict[str, object]:
-        """Return it for JSON."""
+        """Return the values for JSON."""
         return fields_of(self, "flight", "name", "sensor", "params", "std", "interval") | {"sentence": self.finding}
 
 
 class SensorWatch:
-    """Looks through the last seconds of one flight; a fault is told once."""
+    """Monitors the last seconds of one flight; each fault is reported once."""
 
     def __init__(self, flight: str) -> None:
         self._flight = flight
         self._since = -np.inf
-        """From which time on positions are compared [s]: a sensor stood still before."""
+        """Start of the compared positions [s], after the last sensor dropout."""
         self._stopped: dict[str, float] = {}
-        """Sensors that stand still, and since when [s]."""
+        """Stopped sensors, with the time of their last change [s]."""
         self._jumps: list[tuple[float, PositionJump]] = []
         self._offset = Offset()
-        """Of all jumps, those that are no longer looked at as well."""
+        """Sum of all jumps, earlier ones included."""
 
     @property
     def blind(self) -> bool:
-        """Return whether a sensor gives nothing new at present."""
+        """Return whether any sensor has stopped."""
         return bool(self._stopped)
 
     def look(self, log: FlightLog) -> list[SensorFault]:
-        """Return the faults that are new in the last rows of a flight; ``log.time`` is from its first row on [s]."""
+        """Return the new faults in the last rows of a flight; ``log.time`` is from its first row [s]."""
         return [*self._dropouts(log), *self._jumps_in(log)]
 
     def _dropouts(self, log: FlightLog) -> Iterator[SensorFault]:
-        """Yield the sensors that have stopped since the last look; those that came back are watched again."""
+        """Yield newly stopped sensors; those with new values are monitored again."""
         last = part_of(log, log.time >= float(log.time[-1]) - 4.0 * LONGEST_FROZEN_S)
         frozen = {one.name for one in frozen_sensors(last) if last.time[one.row] + one.seconds >= last.time[-1]}
         stopped = dict[str, float]()
         for name, row in unchanged_since(log).items():
             at = float(log.time[row])
-            # One that has stopped stays so until it gives another value, though the vehicle may stand for a moment.
+            # A stopped sensor stays so until its value changes, even if the vehicle stands for a moment.
             if name in frozen or (name in self._stopped and (row == 0 or at <= self._stopped[name])):
                 stopped[name] = at
         for name in stopped.keys() - self._stopped.keys():
@@ -88,13 +88,13 @@ class SensorWatch:
         self._stopped = {name: self._stopped.get(name, at) for name, at in stopped.items()}
 
     def _jumps_in(self, log: FlightLog) -> Iterator[SensorFault]:
-        """Yield the jump that is new since the last look, once all rows that it is compared with have come."""
+        """Yield a new jump once all rows for its comparison are there."""
         log = part_of(log, log.time >= self._since)
         if log.position is None or log.lin_vel is None or log.time.size < 2:
             return
         try:
             log = uniform_log(mend_repeated_samples(log))
-        except DataError:  # rows are missing, or sensors stopped and came back in these seconds
+        except DataError:  # missing rows, or a sensor dropout in this span
             return
         assert log.position is not None
         assert log.lin_vel is not None

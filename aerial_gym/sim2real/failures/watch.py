@@ -1,7 +1,7 @@
-"""Failures of a flight that is being flown, from the rows of its log as they come.
+"""Detection of failures during a flight, from the rows of its log as they arrive.
 
-Rows become blocks, of which a window is kept; every half second its sums are looked through as those of a whole flight, and the
-last rows for faults of sensors.
+Rows become blocks in a sliding window. Every half second its sums are searched like those of a complete flight, and the
+last rows for sensor faults.
 Letters: T rows, K blocks.
 """
 
@@ -28,26 +28,26 @@ from aerial_gym.sim2real.logs.signals import uniform_log
 from aerial_gym.sim2real.statistics import FALSE_ALARM_HOURS
 
 WINDOW_BLOCKS = 300
-"""Blocks that are kept: half a minute."""
+"""Number of stored blocks: half a minute."""
 
 LOOK_BLOCKS = 5
-"""Blocks between two looks."""
+"""Number of blocks between two searches."""
 
 LEAD_BLOCKS = 10
-"""Blocks before those of a look from which the lag of the rotors is followed: many lags."""
+"""Number of earlier blocks from which the rotor lag is simulated: many time constants."""
 
 FIRST_ROWS = 20
-"""By so many the rate is known."""
+"""Number of rows that determine the sample rate."""
 
 SETTLED_S = 2.0
-"""A failure is named so long after its onset and the first suspicion [s]: a stuck rotor is at first like one that fails, and an
-onset without enough blocks after it yet stands elsewhere,"""
+"""Time after onset and first suspicion before a failure is named [s]. A stuck rotor first resembles a failed one, and an
+onset with too few later blocks is displaced."""
 
 SURE = 0.99
-"""and is this probable among all failures,"""
+"""Least probability among all failures for its naming."""
 
 AT_LATEST_S = 8.0
-"""or at the latest so long after these [s]."""
+"""Longest time after onset and first suspicion until a failure is named [s]."""
 
 SUSPECTED, NAMED = "suspected", "named"
 
@@ -59,25 +59,25 @@ COLUMNS = {
     "attitude": ("q_x", "q_y", "q_z", "q_w"),
     "battery": ("vbat",),
 }
-"""Of a log in this package's layout, beside t, rotor_n and cmd_n."""
+"""Columns in this package's layout, besides t, rotor_n and cmd_n."""
 
 STATE = (*COLUMNS["attitude"], *COLUMNS["ang_vel"])
-"""Columns without which nothing is watched."""
+"""Required columns."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Alarm:
-    """A failure, or a fault of a sensor, and when it was told."""
+    """A failure or sensor fault with the time of its report."""
 
     stage: str
-    """suspected: something surely fails, and this is the most probable so far; named: what it is."""
+    """suspected: a failure is certain and this is its most probable kind; named: the kind is certain."""
 
     failure: Failure | SensorFault
     told_s: float
-    """From the first row on [s]."""
+    """Time of the report from the first row [s]."""
 
     def as_mapping(self) -> dict[str, object]:
-        """Return it for JSON."""
+        """Return the values for JSON."""
         return {
             "stage": self.stage,
             **self.failure.as_mapping(),
@@ -87,9 +87,9 @@ class Alarm:
 
 
 class Watch:
-    """Follows one flight; after a failure that goes on nothing more is told: what flies on is another vehicle.
+    """Monitors one flight; after a lasting failure nothing more is reported, since the vehicle has changed.
 
-    While a sensor stands still the rotors are not watched: they seem to do what they do not.
+    While a sensor has stopped, rotors are not monitored, as their outputs would seem wrong.
     """
 
     def __init__(
@@ -100,10 +100,10 @@ class Watch:
         name: str = "flight",
         false_alarm_hours: float = FALSE_ALARM_HOURS,
     ) -> None:
-        """Take the declared robot and the names of the columns.
+        """Store the declared robot and the column names.
 
         Raises:
-            DataError: If a column that is needed is not there, or one that is used appears twice.
+            DataError: If a required column is missing, or a used one appears twice.
         """
         self._robot, self._name, self._place = robot, name, {column.strip(): k for k, column in enumerate(header)}
         self._finder = FailureFinder(robot, false_alarm_hours=false_alarm_hours)
@@ -136,18 +136,18 @@ class Watch:
         self._since = 0.0
         self._stateless = 0
         self.last_bad: Finding | None = None
-        """Why the last row was left out."""
+        """Reason for the rejection of the last bad row."""
         self.over = False
-        """Whether something failed that goes on."""
+        """Whether a lasting failure has occurred."""
         self.watched_s = 0.0
 
     def add(self, row: Sequence[float] | Array) -> list[Alarm]:
-        """Take one more row, in the order of the header, empty fields as NaN; return what there is to tell.
+        """Take one row in the header's order, with NaN for empty fields; return the new alarms.
 
-        A row without a state or with a bad time stamp is left out. After a clock was set back, time goes on by one step.
+        Rows without a state or with a bad time stamp are dropped. After a clock was set back, time continues by one step.
 
         Raises:
-            DataError: If it has not as many fields as the header.
+            DataError: If the number of fields differs from the header's.
         """
         values = np.asarray(row, dtype=float)
         if values.size != len(self._last):
@@ -165,13 +165,13 @@ class Watch:
         return [alarm for row in good for alarm in self._take(row)]
 
     def _take(self, values: Array) -> list[Alarm]:
-        """Take a good row; return what there is to tell."""
+        """Take a valid row; return the new alarms."""
         time = self._place["t"]
-        values = np.where(np.isnan(values), self._last, values)  # a field that is empty keeps what it had
+        values = np.where(np.isnan(values), self._last, values)  # an empty field keeps its last value
         self._start = values[time] if self._start is None else self._start
         if self._rows and values[time] - self._rows[-1][time] > LONGEST_GAP_S:
             self._begin_anew()
-            self._recent.clear()  # positions before and after are not compared
+            self._recent.clear()  # positions across the gap are not compared
         self._last = values
         self.watched_s = float(values[time] - self._start)
         self._rows.append(values)
@@ -193,19 +193,19 @@ class Watch:
 
     @property
     def bad_rows(self) -> int:
-        """Return the number of rows that were left out so far."""
+        """Return the number of dropped rows."""
         return self._stateless + len(self._stamps.bad)
 
     @property
     def clock_steps(self) -> int:
-        """Return the number of times the clock was set back so far."""
+        """Return the number of backward clock steps."""
         return self._stamps.steps
 
     def _begin_anew(self) -> None:
         self._rows, self._works, self._suspected = [], [], None
 
     def _faults(self, rows: Sequence[Array]) -> list[SensorFault]:
-        """Return the faults of sensors that some more rows show, the first of which are known."""
+        """Return the sensor faults in the given rows, which may overlap earlier ones."""
         time = self._place["t"]
         last = self._recent[-1][time] if self._recent else -np.inf
         self._recent.extend(row for row in rows if row[time] > last)
@@ -216,7 +216,7 @@ class Watch:
         return self._sensors.look(replace(log, time=log.time - self._start))
 
     def _follow(self, rows: Array) -> None:
-        """Put the blocks of rows behind those that are known."""
+        """Append the blocks of these rows."""
         flight = self._flight(rows)
         assert self._start is not None
         offset = float(rows[0, self._place["t"]]) - self._start
@@ -232,7 +232,7 @@ class Watch:
         self._works = [part.rows(slice(-WINDOW_BLOCKS, None)) for part in kept]
 
     def _log(self, rows: Array) -> FlightLog:
-        """Return rows as a log, without quantities that have a gap."""
+        """Return rows as a log, without quantities with gaps."""
         values = {quantity: rows[:, places] for quantity, places in self._columns.items()}
         whole = {quantity: value for quantity, value in values.items() if not np.isnan(value).any()}
         if "attitude" not in whole:
@@ -243,7 +243,7 @@ class Watch:
         return replace(log, **whole)
 
     def _flight(self, rows: Array) -> Flight:
-        """Return rows as a flight; the vehicle is not watched where its rotors are not told to carry half its weight."""
+        """Return rows as a flight; low rotor commands (less than half the weight) count as on the ground."""
         log = uniform_log(replace(self._log(rows), position=None))
         told = log.rotor_speed if log.rotor_command is None else log.rotor_command
         assert told is not None
@@ -267,7 +267,7 @@ class Watch:
         return told
 
     def ended(self) -> list[Alarm]:
-        """Return the failure that was suspected when the rows ended: a vehicle that came down is not seen for long."""
+        """Return the failure suspected at the end of the rows, since a fallen vehicle leaves little data."""
         self._stamps.end(self._place["t"])
         found, self._suspected = self._suspected, None
         return [Alarm(stage=NAMED, failure=found, told_s=self.watched_s)] if found else []
