@@ -1,1 +1,1 @@
-"""What a run leaves behind: pages, tables, plots, ranges, and a folder that appears whole."""
+"""Results of a run: pages, tables, figures, randomisation ranges and the output folder."""

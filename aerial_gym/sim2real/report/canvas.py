@@ -1,6 +1,6 @@
-"""Figures as SVG text that stands inside a page: grids of panels with lines, dots, bars and error bars.
+"""Inline SVG figures: grids of panels with lines, dots, bars and error bars.
 
-Every mark is a path of straight strokes. Lengths are whole tenths of a pixel. Letters: N points of a mark.
+All marks are paths of straight segments, with coordinates in tenths of a pixel. Letters: N points of a mark.
 """
 
 from collections.abc import Sequence
@@ -12,30 +12,30 @@ import numpy as np
 from aerial_gym.sim2real.arrays import Array
 
 INCH = 900
-"""Units of the drawing in an inch of the page: tenths of a pixel."""
+"""Drawing units per inch: tenths of a pixel."""
 
 POINT = INCH / 72
-"""The unit of letters and lines."""
+"""Drawing units per point, the unit of text and line widths."""
 
 LEFT, RIGHT, TOP, BOTTOM = 0.62, 0.12, 0.3, 0.4
-"""Margins of a figure [in]."""
+"""Figure margins [in]."""
 
 MARGIN = 0.05
-"""Of an axis beyond its numbers, on either side."""
+"""Extension of an axis beyond its data on either side, as a share."""
 
 MOST_TICKS = 6
 LETTER = 0.6
-"""Mean width of a letter, of its height."""
+"""Mean letter width relative to the font size."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mark:
-    """Strokes between points."""
+    """Points joined by strokes."""
 
     x: Array
     y: Array
     together: int
-    """Points that a stroke joins: all of a line, four of a bar, two of an error bar, one of a dot."""
+    """Points per stroke: all for a line, four for a bar, two for an error bar, one for a dot."""
 
     colour: str
     width: float = 0.8
@@ -49,7 +49,7 @@ class Mark:
 
 @dataclass(kw_only=True)
 class Panel:
-    """A frame with axes, and the marks in it."""
+    """A frame with axes and marks."""
 
     place: tuple[float, float, float, float]
     """Left, top, width and height."""
@@ -58,19 +58,19 @@ class Panel:
     y_label: str = ""
     title: str = ""
     log: bool = False
-    """Whether the upright axis is logarithmic."""
+    """Whether the vertical axis is logarithmic."""
 
     numbered: bool = True
-    """Whether numbers stand below."""
+    """Whether the horizontal axis has numbers."""
 
     names: Sequence[str] = ()
-    """In place of numbers below: at 0, 1, 2 ..."""
+    """Category names at 0, 1, 2 ... instead of numbers."""
 
     boxed: bool = False
-    """Whether the labels of its marks stand inside."""
+    """Whether the panel has a legend."""
 
     levels: list[float] = field(default_factory=list)
-    """Thin lines from side to side."""
+    """Heights of thin horizontal lines."""
 
     marks: list[Mark] = field(default_factory=list)
 
@@ -83,13 +83,13 @@ class Panel:
         self._add(x, y, 1, colour, style)
 
     def bars(self, x: Array, height: Array, width: float, colour: str, **style: object) -> None:
-        """Draw bars that stand on zero, or on the frame if the axis is logarithmic."""
+        """Draw bars from zero, or from the frame on a logarithmic axis."""
         corners = np.stack([x - width / 2, x - width / 2, x + width / 2, x + width / 2], axis=1)
         zero = np.zeros_like(height)
         self._add(corners, np.stack([zero, height, height, zero], axis=1), 4, colour, {"filled": True, **style})
 
     def error_bars(self, x: Array, low: Array, high: Array, colour: str, **style: object) -> None:
-        """Draw upright lines between two values."""
+        """Draw vertical lines between two values."""
         self._add(np.stack([x, x], axis=1), np.stack([low, high], axis=1), 2, colour, style)
 
     def _add(self, x: Array, y: Array, together: int, colour: str, style: dict) -> None:
@@ -97,13 +97,13 @@ class Panel:
 
     @property
     def x_values(self) -> Array:
-        """Return where marks are, (N,)."""
+        """Return the horizontal positions of all marks, (N,), or the limits for categories."""
         if self.names:
             return np.array([-0.5, len(self.names) - 0.5])
         return np.concatenate([mark.x for mark in self.marks]) if self.marks else np.zeros(0)
 
     def svg(self, x_values: Array) -> str:
-        """Return the panel, with an axis for some values below."""
+        """Return the panel as SVG, with a horizontal axis that covers ``x_values``."""
         left, top, wide, high = self.place
         y_values = np.concatenate([np.array(self.levels), *(mark.y for mark in self.marks)])
         x_low, x_high = _limits(x_values)
@@ -145,7 +145,7 @@ class Panel:
         return "".join([*parts, self._box() if self.boxed else ""])
 
     def _box(self) -> str:
-        """Return the labels of the marks, in the corner above which a line from the left end goes up, or down."""
+        """Return the legend in the upper corner that the last line avoids."""
         left, top, wide, _ = self.place
         labelled, size = [mark for mark in self.marks if mark.label], 6.5
         width = (max((len(mark.label) for mark in labelled), default=0) * LETTER * size + 16) * POINT
@@ -164,7 +164,7 @@ class Panel:
 
 @dataclass(kw_only=True)
 class Figure:
-    """Panels below a title."""
+    """Panels under a title."""
 
     title: str
     size: tuple[float, float]
@@ -172,13 +172,13 @@ class Figure:
 
     columns: list[list[Panel]]
     shared: bool
-    """Whether the panels of a column have one axis below."""
+    """Whether the panels of a column share a horizontal axis."""
 
     legend: Sequence[Mark] = ()
-    """Marks that are told by name above all panels."""
+    """Marks in the legend above all panels."""
 
     def svg(self) -> str:
-        """Return the text of the figure. A panel without anything in it stays blank."""
+        """Return the figure as SVG; empty panels stay blank."""
         wide, high = self.size
         parts = [text(self.title, LEFT * INCH, 14 * POINT, size=9)]
         at = wide - RIGHT * INCH
@@ -208,16 +208,16 @@ def panels(
     gap: tuple[float, float] = (0.55, 0.42),
     sharex: bool = False,
 ) -> tuple[Figure, list[list[Panel]]]:
-    """Return a figure of ``rows`` times ``columns`` panels, and these, row by row.
+    """Return a figure of ``rows`` times ``columns`` panels, and the panels row by row.
 
     Args:
         rows: Number of rows.
         columns: Number of columns.
-        width: Of each panel, or of those of each column [in].
-        height: Of each panel [in].
-        title: A few words; what the figure shows stands below it, as text of the page.
-        gap: Between columns and rows [in].
-        sharex: Whether the panels of a column share their axis, whose numbers then stand below the last one.
+        width: Width of every panel, or of those of each column [in].
+        height: Height of each panel [in].
+        title: Short title; the page explains the figure below it.
+        gap: Gaps between columns and rows [in].
+        sharex: Whether the panels of a column share an axis, with numbers below the last one.
     """
     widths = [float(width)] * columns if isinstance(width, float | int) else list(width)
     lefts = LEFT + np.concatenate(([0.0], np.cumsum(np.array(widths) + gap[0])))
@@ -237,7 +237,7 @@ def panels(
 
 
 def ticks(low: float, high: float) -> Array:
-    """Return the round numbers of an axis: steps of 1, 2, 2.5 or 5 times a power of ten, as many as there is place for."""
+    """Return round tick values in steps of 1, 2, 2.5 or 5 times a power of ten, at most about ``MOST_TICKS``."""
     least = (high - low) / MOST_TICKS
     power = 10.0 ** np.floor(np.log10(least))
     step = power * next(factor for factor in (1.0, 2.0, 2.5, 5.0, 10.0) if factor * power >= least)
@@ -245,7 +245,7 @@ def ticks(low: float, high: float) -> Array:
 
 
 def _decades(low: float, high: float) -> Array:
-    """Return the numbers of a logarithmic axis between two powers of ten: some powers, or 1, 2 and 5 times one."""
+    """Return the tick values of a logarithmic axis from log10 limits: powers of ten, or 1, 2 and 5 times one."""
     powers = np.arange(np.ceil(low), np.floor(high) + 1.0)
     if powers.size > 1:
         return 10.0 ** powers[:: -(-powers.size // MOST_TICKS)]
@@ -254,7 +254,7 @@ def _decades(low: float, high: float) -> Array:
 
 
 def _limits(values: Array) -> tuple[float, float]:
-    """Return the ends of an axis."""
+    """Return the axis limits with margins."""
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
     span = high - low if high - low > 1e-12 * max(abs(low), abs(high)) else max(abs(low), 1.0)
@@ -262,7 +262,7 @@ def _limits(values: Array) -> tuple[float, float]:
 
 
 def _thinned(x: Array, y: Array) -> tuple[Array, Array]:
-    """Return the lowest and the highest point in each column of pixels, in the order in which a line along x comes by."""
+    """Return the lowest and highest point in each pixel column, in drawing order."""
     column = x // 10.0
     order = np.lexsort((y, column))
     new = np.flatnonzero(np.diff(column[order], prepend=-1.0))
@@ -271,10 +271,10 @@ def _thinned(x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _path(mark: Mark, x: Array, y: Array) -> str:
-    """Return a mark whose points are known in the drawing; a line has a gap where they are not."""
+    """Return a mark as SVG; non-finite points become gaps."""
     known, style = np.isfinite(x) & np.isfinite(y), _style(mark)
     if mark.together == 1:
-        x, y = np.unique(np.stack((x[known], y[known]), axis=1) // 10.0 * 10.0, axis=0).T  # one dot a pixel
+        x, y = np.unique(np.stack((x[known], y[known]), axis=1) // 10.0 * 10.0, axis=0).T  # one dot per pixel
     elif mark.together == x.size:
         gaps = np.flatnonzero(np.diff(known)) + 1
         pieces = zip(np.split(x, gaps), np.split(y, gaps), np.split(known, gaps), strict=True)
@@ -301,7 +301,7 @@ def _style(mark: Mark) -> str:
 
 
 def _stroke(x: Array, y: Array, together: int, style: str) -> str:
-    """Return a path that joins so many points each; a single one is a dot."""
+    """Return a path with strokes of ``together`` points each; a single point is a dot."""
     points = np.rint(np.stack((x, y), axis=1)).astype(np.int64).reshape(-1, 2 * together).tolist()
     end = "h0" if together == 1 else ""
     strokes = [f"M{' '.join(map(str, one))}{end}" for one in points]
@@ -309,7 +309,7 @@ def _stroke(x: Array, y: Array, together: int, style: str) -> str:
 
 
 def _sample(mark: Mark, x: float, y: float) -> str:
-    """Return a short stroke in the manner of a mark."""
+    """Return a short legend stroke in the style of a mark."""
     wide = 5.0 if mark.filled or mark.together == 1 else max(mark.width, 1.0)
     style = f'stroke="{mark.colour}" stroke-width="{wide * POINT:.0f}"'
     return _stroke(np.array([x, x + 10 * POINT]), np.array([y, y]), 2, style)
@@ -320,7 +320,7 @@ def _number(value: float) -> str:
 
 
 def text(words: str, x: float, y: float, *, size: float = 7, anchor: str = "start", turned: bool = False) -> str:
-    """Return words at a point, of a size [pt]."""
+    """Return words at a point, with font size [pt]."""
     if not words:
         return ""
     turn = f' transform="rotate(-90 {x:.0f} {y:.0f})"' if turned else ""

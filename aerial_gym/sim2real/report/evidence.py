@@ -1,8 +1,7 @@
-"""Evidence for an effect: what is measured beyond the model without it, against what it would add.
+"""Evidence for an effect: the residual without it against its predicted contribution.
 
-All channels stand in one picture, each in units of its weight in the fit: the line of the fitted value is then the least-
-squares line through all points. One channel alone may ask for another value, which the legend says. Letters: S rows of all
-flights.
+All channels share one plot, in units of their weight in the fit, so the fitted value is the least-squares line through all
+points. The legend gives the value from each single channel. Letters: S rows of all flights.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -23,13 +22,13 @@ from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.report.canvas import Panel, panels
 
 MOST_CHANNELS = 4
-"""Drawn for a parameter, those that tell most of it."""
+"""Number of plotted channels per parameter, the most informative ones."""
 
 LEAST_TOLD = 0.02
-"""A channel that has less than this share of what all tell of a parameter is left out."""
+"""Least share of a parameter's information in a channel of the table."""
 
 MOST_POINTS = 1200
-"""Of a channel."""
+"""Most points per channel."""
 
 COLOURS = ("#b0413e", "#d99036", "#4f8f5b", "#7a5ca8")
 LINE = "#1f4e79"
@@ -37,25 +36,25 @@ LINE = "#1f4e79"
 
 @dataclass(frozen=True, kw_only=True)
 class Cloud:
-    """What one channel tells of a parameter."""
+    """Information of one channel about a parameter."""
 
     channel: Channel
     adds: Array
-    """What one scale of the parameter adds, weighted, (S,)."""
+    """Weighted contribution of one scale of the parameter, (S,)."""
 
     beyond: Array
-    """What is measured beyond the model without the parameter, weighted, (S,)."""
+    """Weighted residual without the parameter, (S,)."""
 
     alone: float
-    """Value that this channel alone asks for."""
+    """Parameter value from this channel alone."""
 
     std: float
-    """Of that, from the scatter of blocks of time."""
+    """Standard deviation of that value, from the scatter of time blocks."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Clue:
-    """What all channels tell of a parameter."""
+    """Information of all channels about a parameter."""
 
     parameter: str
     unit: str
@@ -63,33 +62,33 @@ class Clue:
     neutral: float
     fitted: float
     clouds: tuple[Cloud, ...]
-    """Of all channels, those that tell most first."""
+    """All channels, the most informative first."""
 
     @property
     def telling(self) -> tuple[tuple[Cloud, float], ...]:
-        """Return the channels that tell something of the parameter, and their share of what all tell."""
+        """Return the channels with a noticeable share of the parameter's information, and these shares."""
         told = [float(cloud.adds @ cloud.adds) for cloud in self.clouds]
         shares = [(cloud, own / max(sum(told), 1e-300)) for cloud, own in zip(self.clouds, told, strict=True)]
         return tuple((cloud, share) for cloud, share in shares if share >= LEAST_TOLD)
 
     @property
     def shown(self) -> tuple[Cloud, ...]:
-        """Return those that are worth drawing."""
+        """Return the channels to plot."""
         return tuple(cloud for cloud, _ in self.telling[:MOST_CHANNELS])
 
 
 def clues(
     predictor: Predictor, params: ModelParams, effect: str, neutral: Array, weight: Array, untold: Collection[str] = ()
 ) -> list[Clue]:
-    """Return what flights tell of each parameter of an effect.
+    """Return the information of the flights about each parameter of an effect.
 
     Args:
-        predictor: The flights that the fit has seen.
-        params: The model with the effect, and with the deviations within the tolerances that fit best beside it.
-        effect: Its name.
-        neutral: Its neutral parameters.
-        weight: What a row of each channel counts in the fit, (C,).
-        untold: Parameters that these flights do not show.
+        predictor: Predictor of the fitted flights.
+        params: Model with the effect and the jointly fitted deviations within the tolerances.
+        effect: Name of the effect.
+        neutral: Neutral parameters of the effect.
+        weight: Weight of a row of each channel in the fit, (C,).
+        untold: Parameters that these flights do not determine.
     """
     predicted = predictor.predict(params)
     jacobian = np.concatenate(effect_jacobian(predictor, params, (effect,), predicted)) * np.sqrt(weight)[:, None]
@@ -127,7 +126,7 @@ def clues(
 
 
 def _through_zero(x: Array, y: Array, group: Indices) -> tuple[float, float]:
-    """Return the slope of the least-squares line through zero, and its standard deviation by the scatter of groups."""
+    """Return the slope of a least-squares line through the origin, and its standard deviation from the scatter of groups."""
     square = float(x @ x)
     if square == 0.0:
         return 0.0, np.inf
@@ -137,7 +136,7 @@ def _through_zero(x: Array, y: Array, group: Indices) -> tuple[float, float]:
 
 
 def evidence(effect: str, found: list[Clue]) -> str:
-    """Return a panel for each parameter."""
+    """Return a figure with one panel per parameter."""
     shown = [clue for clue in found if clue.shown]
     figure, axes = panels(1, max(len(shown), 1), width=3.3, height=2.6, title=effect, gap=(0.6, 0.0))
     for panel, clue in zip(axes[0], shown, strict=False):
@@ -146,7 +145,7 @@ def evidence(effect: str, found: list[Clue]) -> str:
 
 
 def write_evidence(path: Path, found: Mapping[str, Sequence[Clue]]) -> None:
-    """Write for every parameter of some effects what was fitted, and what each telling channel asks for alone."""
+    """Write each parameter's fitted value, and the value from each informative channel alone."""
     columns = ["effect", "parameter", "fitted", "channel", "alone", "std", "share_told"]
     rows = []
     for effect, own in found.items():

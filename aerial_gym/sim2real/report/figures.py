@@ -1,4 +1,4 @@
-"""Which figures a report has, and of what."""
+"""Selection of the report's figures and their data."""
 
 from collections.abc import Mapping, Sequence
 
@@ -19,10 +19,10 @@ from aerial_gym.sim2real.report.evidence import Clue, clues, evidence
 from aerial_gym.sim2real.report.profiles import Profile, quantities
 
 MOST_REJECTED = 2
-"""Effects of which evidence is drawn although none is accepted."""
+"""Number of rejected effects whose evidence is plotted if none is accepted."""
 
 MOST_REMAINING = 3
-"""Channels of which the rest is drawn."""
+"""Number of channels whose final residual is plotted."""
 
 VARIANTS = {
     "free": "Everything simulated from the measured state at the start of a window",
@@ -31,15 +31,15 @@ VARIANTS = {
 
 
 def models_of(judged: Judged) -> dict[str, ModelParams]:
-    """Return the declared model and, if it is another one, the corrected."""
+    """Return the declared model and, if it differs, the corrected one."""
     models = {"declared": judged.declared.params}
     return models | {"corrected": judged.params} if judged.verdict.corrects else models
 
 
 def clues_of(judged: Judged) -> dict[str, list[Clue]]:
-    """Return what the training flights tell of the accepted effects; if there are none, of those that came closest.
+    """Return the training flights' information about the accepted effects; without any, about the closest candidates.
 
-    With the deviations that were fitted beside them: without these the line of the fitted value misses what is left.
+    Models include the jointly fitted deviations, so that the fitted line matches the residual.
     """
     declared, selection = judged.declared, judged.selection
     models = dict.fromkeys(selection.accepted, judged.within)
@@ -56,7 +56,7 @@ def clues_of(judged: Judged) -> dict[str, list[Clue]]:
 def figures(
     judged: Judged, told: Mapping[str, list[Clue]], found: Sequence[Profile]
 ) -> dict[str, list[dict[str, str]]]:
-    """Return the figures of the page, by its sections."""
+    """Return the figures of the page by section."""
     verdict, test = judged.verdict, judged.declared.test
     before, after = verdict.before, verdict.after if verdict.corrects else None
     clouds = []
@@ -90,14 +90,14 @@ def _words(kind: str) -> str:
 
 
 def shown_kinds(judged: Judged) -> list[str]:
-    """Return the kinds of channels that are drawn: those with dynamics, and kinematic ones that the correction changes."""
+    """Return the plotted kinds of channels: those with dynamics, and kinematic ones that the correction changes."""
     changed = {one.name for one in judged.verdict.outcomes if one.state != SAME}
     drawn = [c.kind for c in judged.declared.channels if c.kind not in KINEMATIC or c.name in changed]
     return list(dict.fromkeys(drawn))
 
 
 def remaining(judged: Judged) -> list[tuple[Channel, list[plots.Rest]]]:
-    """Return what the corrected model leaves of the channels that matter: those named, else the farthest above its floor."""
+    """Return the corrected model's residual in the unexplained channels, or in the one farthest above its noise floor."""
     channels, after, found = judged.declared.channels, judged.verdict.after, []
     dynamic = [place for place, channel in enumerate(channels) if channel.kind not in KINEMATIC]
     named = [place for place in dynamic if channels[place].name in judged.verdict.unexplained]
@@ -131,6 +131,6 @@ def remaining(judged: Judged) -> list[tuple[Channel, list[plots.Rest]]]:
 
 
 def closest(selection: SelectionResult) -> list[Fitted]:
-    """Return the most probable fitted sets of one effect each, which were not named; none whose fit went nowhere."""
+    """Return the most probable fitted sets with a single effect, for a report without accepted effects."""
     fits = [one for one in selection.chosen.fits if len(one.effects) == 1 and not one.structures]
     return [one for one in fits if np.isfinite(one.log_posterior)][:MOST_REJECTED]

@@ -1,4 +1,4 @@
-"""Figures of a report as SVG text that stands inside the page."""
+"""Figures of a report as inline SVG."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,42 +22,42 @@ COLOURS = {"declared": DECLARED, "corrected": CORRECTED}
 SHOWN_KINDS = ("specific_force", "angular_acceleration", "rotor_speed")
 
 FLIGHTS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f", "#bcbd22", "#17becf")
-"""Of flights, in turn."""
+"""Colours of flights, repeated in order."""
 
 SEGMENT_S = 8.0
-"""Of a spectrum [s]."""
+"""Segment length of a spectrum [s]."""
 
 TRACE_S = 5.0
-"""Of what is measured and predicted, drawn as it is [s]."""
+"""Duration of the detailed trace [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rest:
-    """What remains of one channel in one flight."""
+    """Residual of one channel in one flight under the corrected model."""
 
     flight: Flight
     time: Array
     """[s], (T,)."""
 
     values: Array
-    """In body axes, (T,)."""
+    """Residual in body axes, (T,)."""
 
     world: Array
-    """In world axes if it is a force, else the same, (T,)."""
+    """Residual in world axes for a force, else the same, (T,)."""
 
     quantities: dict[str, Array]
-    """Against which it is drawn, each (T,)."""
+    """Quantities on the horizontal axes, (T,) each."""
 
 
 def traces(predictor: Predictor, models: Mapping[str, ModelParams], kind: str) -> str:
-    """Return one flight over time: measured and predicted in its most telling seconds, and what is left of all of it.
+    """Return the time course of one flight: its most informative seconds, and the residual of the whole flight.
 
-    Most telling is where the models differ most; of one model alone, where it misses most.
+    The flight and seconds are those with the largest difference between the models, or from the measurement.
 
     Args:
-        predictor: The flights.
-        models: By name, the declared one first.
-        kind: Of the channels.
+        predictor: Predictor of the flights.
+        models: Models by name, the declared one first.
+        kind: Kind of the channels.
     """
     places = [place for place, channel in enumerate(predictor.channels) if channel.kind == kind]
     predicted = {name: predictor.predict(params) for name, params in models.items()}
@@ -95,7 +95,7 @@ def _differ(one: Sequence[Array], other: Sequence[Array], places: Sequence[int])
 
 
 def _span(time: Array, size: Array) -> Flags:
-    """Return the rows of the ``TRACE_S`` in which a size (T,) adds up to most."""
+    """Return the rows of the ``TRACE_S`` window with the largest sum of ``size`` (T,)."""
     ends = np.searchsorted(time, time + TRACE_S)
     total = np.concatenate(([0.0], np.cumsum(size)))
     whole = time <= max(time[-1] - TRACE_S, time[0])
@@ -104,7 +104,7 @@ def _span(time: Array, size: Array) -> Flags:
 
 
 def residual_profiles(found: Sequence[Profile], channels: Sequence[Channel], kind: str) -> str:
-    """Return the mean residual of the channels of one kind against each quantity, a line per model, with standard errors."""
+    """Return the mean residual of one kind of channel against each quantity, per model with standard errors."""
     places = [place for place, channel in enumerate(channels) if channel.kind == kind]
     title = kind.replace("_", " ")
     figure, axes = panels(len(places), len(found), width=2.35, height=1.25, title=title, gap=(0.5, 0.12), sharex=True)
@@ -125,9 +125,9 @@ def residual_profiles(found: Sequence[Profile], channels: Sequence[Channel], kin
 
 
 def what_remains(parts: Sequence[Rest], channel: Channel) -> str:
-    """Return the spectrum of a rest, and its means against place, speed, time and voltage, flight by flight.
+    """Return the residual's spectrum and its means against place, speed, time and voltage, per flight.
 
-    What all flights have alike is structure; what differs from flight to flight is noise.
+    Features common to all flights are structure; differences between flights are noise.
     """
     against = had_by_all([part.quantities for part in parts])
     columns = min(4, 1 + len(against))
@@ -148,11 +148,11 @@ def what_remains(parts: Sequence[Rest], channel: Channel) -> str:
 
 
 PLACES = ("x [m]", "y [m]", "height [m]")
-"""Against these a force is drawn in world axes."""
+"""Quantities against which forces are plotted in world axes."""
 
 
 def _per_flight(panel: Panel, places: Sequence[Array], values: Sequence[Array]) -> None:
-    """Draw means over bins of equal count, a line per flight and a thick one of all."""
+    """Draw means over bins of equal count: a thin line per flight, and a thick one for all."""
     edges = bin_edges(np.concatenate(places))
     if edges.size < 3:
         return
@@ -169,7 +169,7 @@ def _per_flight(panel: Panel, places: Sequence[Array], values: Sequence[Array]) 
 
 
 def residual_bars(before: Evaluation, after: Evaluation | None) -> str:
-    """Return the residual of each channel before and after, with intervals and noise floor, one panel per unit."""
+    """Return the RMS residual of each channel before and after, with intervals and noise floor, one panel per unit."""
     kinds = [kind for kind in SHOWN_KINDS if any(channel.kind == kind for channel in before.channels)]
     title = "residual (rms)"
     figure, axes = panels(1, len(kinds), width=2.9, height=2.1, title=title, gap=(0.55, 0.0))
@@ -187,7 +187,7 @@ def residual_bars(before: Evaluation, after: Evaluation | None) -> str:
 
 
 def rollout_bars(before: Evaluation, after: Evaluation | None, variant: str) -> str:
-    """Return open-loop errors by horizon, before and after."""
+    """Return rollout errors by horizon, before and after."""
     quantities = list(before.rollout[variant])
     title = "open-loop error (rms)"
     figure, axes = panels(1, len(quantities), width=2.9, height=2.1, title=title, gap=(0.55, 0.0))
@@ -201,7 +201,7 @@ def rollout_bars(before: Evaluation, after: Evaluation | None, variant: str) -> 
 
 
 def _bars(panel: Panel, names: Sequence[str], rows: Sequence[Sequence[Rms]]) -> None:
-    """Draw a value of each name, of each model beside the other, with its interval."""
+    """Draw one bar with interval per name and model."""
     width, panel.names = 0.8 / len(rows), names
     for index, (values, (model, colour)) in enumerate(zip(rows, COLOURS.items(), strict=False)):
         at = np.arange(len(names)) + (index - 0.5 * (len(rows) - 1)) * width

@@ -1,4 +1,4 @@
-"""What a residual depends on: its mean over bins of thrust, speed, height and battery voltage, under each model.
+"""Profiles of the residual: its mean over bins of thrust, speed, height and battery voltage, under each model.
 
 Letters: T rows of a flight, S rows of all flights, C channels, B bins.
 """
@@ -24,13 +24,13 @@ from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.statistics import BinnedMean, binned_mean
 
 BINS = 12
-"""Of equal count."""
+"""Number of bins of equal count."""
 
 LABELS = {"declared": "before", "corrected": "after"}
-"""Of models, in names of columns."""
+"""Column names of the models."""
 
 FEWEST_ROWS = 5
-"""A bin with fewer is not told."""
+"""Least number of rows in a plotted bin."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,19 +41,19 @@ class Profile:
     """Quantity and unit."""
 
     edges: Array
-    """Of the bins, (B + 1,)."""
+    """Bin edges, (B + 1,)."""
 
     middle: Array
     """Mean of the quantity in each bin, (B,)."""
 
     residual: dict[str, BinnedMean]
-    """By model."""
+    """Mean residuals by model."""
 
 
 def quantities(flight: Flight, time: Array, vehicle: Vehicle, bandwidth: float) -> dict[str, Array]:
-    """Return against what a residual is drawn at some times [s] (T,), as far as the log has it, each (T,).
+    """Return the quantities for profiles at times [s] (T,), as far as the log has them, (T,) each.
 
-    The thrust is that of all rotors as declared, at the measured speeds, or at the commands where speeds were not measured.
+    Thrust is the declared total at measured speeds, or at the commands if speeds were not measured.
     """
     rows = rows_of(flight, time)
     rotors = flight.rotor_command if flight.rotor_speed is None else flight.rotor_speed
@@ -70,17 +70,17 @@ def quantities(flight: Flight, time: Array, vehicle: Vehicle, bandwidth: float) 
 
 
 def bin_edges(values: Array) -> Array:
-    """Return edges between bins of equal count, (B + 1,); fewer where values repeat."""
+    """Return edges of bins with equal counts, (B + 1,); fewer for repeated values."""
     return np.unique(np.quantile(values, np.linspace(0.0, 1.0, BINS + 1)))
 
 
 def place_in(edges: Array, values: Array) -> Indices:
-    """Return the bin of each value; the last one holds its upper edge."""
+    """Return the bin index of each value; the last bin includes its upper edge."""
     return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, edges.size - 2)
 
 
 def profiles(predictor: Predictor, models: Mapping[str, ModelParams]) -> list[Profile]:
-    """Return the profile of every quantity that varies in some flights, for each of some models."""
+    """Return the profiles over all quantities that vary, for each model."""
     group, found = time_groups(predictor.times), []
     vehicle = vehicle_from_config(predictor.robot, num_envs=1, dtype=torch.float64)
     pairs = zip(predictor.flights, predictor.times, strict=True)
@@ -105,7 +105,7 @@ def profiles(predictor: Predictor, models: Mapping[str, ModelParams]) -> list[Pr
 
 
 def write_profiles(path: Path, found: list[Profile], channels: tuple[Channel, ...]) -> None:
-    """Write every bin of every channel: its edges, its rows, and the mean residual of each model with its standard error."""
+    """Write every bin of every channel: edges, rows, and the mean residual of each model with its standard error."""
     tables = [pd.DataFrame(columns=["channel", "against", "low", "high", "middle", "rows", "blocks"])]
     for profile in found:
         first = next(iter(profile.residual.values()))

@@ -1,4 +1,4 @@
-"""The intervals of what was found in flights, as ranges from which episodes draw: a policy then trains on what is uncertain."""
+"""Randomisation ranges from the confidence intervals of identified parameters, for the training of policies."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,17 +10,17 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.judge.verdict import NamedEffect
 
 WIDEST = 4.0
-"""Standard deviations at which a draw ends: beyond lies one number in 16,000."""
+"""Truncation of the distributions in standard deviations; one draw in 16,000 lies beyond."""
 
 
 def found_ranges(robot: RobotCfg, effects: Sequence[NamedEffect]) -> dict[str, RandomizeCfg]:
-    """Return a joint normal distribution of the parameters with a standard deviation, by the names of quantities.
+    """Return a joint normal distribution of the identified parameters, by the names of quantities.
 
-    What the flights know only of two together, such as a sum, stays as certain as it is.
+    Correlations are kept, so well-known combinations such as sums stay certain.
 
     Args:
-        robot: Whose bounds hold.
-        effects: What the flights ask for.
+        robot: Robot whose bounds limit the ranges.
+        effects: Identified effects.
     """
     ranges = {}
     for found in effects:
@@ -47,5 +47,5 @@ def found_ranges(robot: RobotCfg, effects: Sequence[NamedEffect]) -> dict[str, R
 
 
 def with_found_ranges(robot: RobotCfg, effects: Sequence[NamedEffect]) -> RobotCfg:
-    """Return a corrected robot that draws what was found from its intervals at every reset."""
+    """Return a corrected robot that draws the identified parameters from their uncertainty at every reset."""
     return replace(robot, randomize={**robot.randomize, **found_ranges(robot, effects)})

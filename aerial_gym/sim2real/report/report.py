@@ -1,4 +1,4 @@
-"""The report of a closed loop: one self-contained page, the same in Markdown, and the residuals as a table."""
+"""Report of a closed loop: one self-contained page, the same in Markdown, and tables of its data."""
 
 import csv
 from collections.abc import Mapping, Sequence
@@ -33,16 +33,16 @@ from aerial_gym.sim2real.report.tables import (
 from aerial_gym.sim2real.wording import answer_texts, join_texts, text
 
 SHOWN_RIVALS = 3
-"""The others are folded away."""
+"""Number of rivals that are not folded."""
 
 MOST_SETS = 5
-"""Sets of effects that are told, the most probable."""
+"""Number of listed sets of effects, the most probable ones."""
 
 TEMPLATES = Path(__file__).parent / "templates"
 
 
 def write_report(folder: Path, judged: Judged) -> None:
-    """Write report.html, report.md, and the tables behind their figures: residuals.csv, profiles.csv, evidence.csv."""
+    """Write report.html, report.md and the tables of their data: residuals.csv, profiles.csv, evidence.csv."""
     test, models = judged.declared.test, models_of(judged)
     found = profiles(test, models)
     told = clues_of(judged)
@@ -55,7 +55,7 @@ def write_report(folder: Path, judged: Judged) -> None:
 
 
 def render(name: str, context: dict[str, object]) -> str:
-    """Return a template of this package, filled."""
+    """Return a rendered template of this package."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
@@ -72,7 +72,7 @@ def render(name: str, context: dict[str, object]) -> str:
 
 
 def report_context(judged: Judged, told: Mapping[str, list[Clue]], found: Sequence[Profile]) -> dict[str, object]:
-    """Return everything that the templates show."""
+    """Return the values for the templates."""
     verdict, selection = judged.verdict, judged.selection
     after = verdict.after if verdict.corrects else None
     return {
@@ -110,9 +110,9 @@ def report_context(judged: Judged, told: Mapping[str, list[Clue]], found: Sequen
 
 
 def write_residuals(path: Path, predictors: dict[str, Predictor], models: Mapping[str, ModelParams]) -> None:
-    """Write every kept row: flight, set, t, each channel as measured, and measured minus predicted by each model.
+    """Write every kept row: flight, set, t, each measured channel and its residual under each model.
 
-    The declared model is called before, the corrected one after.
+    The declared model is named before, the corrected one after.
     """
     kinds = ("measured", *(LABELS[model] for model in models))
     with path.open("w", encoding="utf-8", errors="surrogateescape", newline="") as file:

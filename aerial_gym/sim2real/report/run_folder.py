@@ -1,4 +1,4 @@
-"""What a run needs around its calculation: a folder that appears whole, a record of what was run."""
+"""Output folder of a run, written as a whole, and the record of the run."""
 
 import json
 import platform
@@ -13,11 +13,11 @@ from aerial_gym.config.storage import told_storage
 from aerial_gym.errors import DataError
 
 RECORD = "run.json"
-"""Name of the record; it also marks a folder as one of ours."""
+"""File name of the record, which also marks a folder as the output of a run."""
 
 
 def check_out_dir(out_dir: Path) -> None:
-    """Raise ``DataError`` if a folder holds files and none of them is the record of a run."""
+    """Raise ``DataError`` if a folder holds files but no record of a run."""
     if out_dir.exists() and not out_dir.is_dir():
         raise DataError(f"{out_dir}: is a file; give a folder for the results")
     if out_dir.is_dir() and any(out_dir.iterdir()) and not (out_dir / RECORD).exists():
@@ -26,13 +26,13 @@ def check_out_dir(out_dir: Path) -> None:
 
 @contextmanager
 def whole_folder(out_dir: Path) -> Iterator[Path]:
-    """Give a folder to write into; its files go to ``out_dir`` at the end, or vanish if anything fails.
+    """Yield a temporary folder whose files move to ``out_dir`` on success and vanish on failure.
 
-    In ``out_dir`` they take the place of what an earlier run wrote, which its record lists; all other files stay.
+    They replace the files of an earlier run according to its record; other files in ``out_dir`` stay.
 
     Raises:
-        DataError: If the folder holds files and no record of a run.
-        StorageError: If the disk is full; ``out_dir`` is then as it was.
+        DataError: If the folder holds files but no record of a run.
+        StorageError: If the disk is full; ``out_dir`` is then unchanged.
     """
     check_out_dir(out_dir)
     with told_storage(out_dir):
@@ -54,13 +54,13 @@ def whole_folder(out_dir: Path) -> Iterator[Path]:
 
 
 def _list_files(record: Path, names: list[str]) -> None:
-    """Add the names of the files of a run to its record."""
+    """Add the file names of a run to its record."""
     content = json.loads(record.read_text(encoding="utf-8")) if record.exists() else {}
     record.write_text(json.dumps(content | {"files": sorted({*names, RECORD})}, indent=1) + "\n", encoding="utf-8")
 
 
 def _listed_files(record: Path) -> set[str]:
-    """Return the names of files beside a record that its run wrote; none where it does not say."""
+    """Return the file names in a record; empty if unreadable or invalid."""
     try:
         names = json.loads(record.read_text(encoding="utf-8"))["files"]
     except (OSError, ValueError, KeyError, TypeError):
@@ -71,7 +71,7 @@ def _listed_files(record: Path) -> set[str]:
 
 
 def write_record(folder: Path, config: dict[str, object], inputs: dict[str, str]) -> None:
-    """Write what was run, with which versions, on which files: their digests, taken when they were read."""
+    """Write configuration, package versions and the checksums of the input files, taken at reading."""
     record = {
         "config": config,
         "versions": {name: _version(name) for name in ("aerial-gym", "torch", "numpy", "scipy", "pandas")},

@@ -1,4 +1,4 @@
-"""The tables of a report, as text for its templates."""
+"""Text tables for the templates of a report."""
 
 from collections.abc import Collection, Mapping, Sequence
 
@@ -17,10 +17,10 @@ from aerial_gym.sim2real.wording import text
 from aerial_gym.sim2real.wording.words import error_words
 
 SHOWN_NOTES = 5
-"""Of the notes, those that matter most; the others are folded away."""
+"""Number of notes that are not folded, the most important ones."""
 
 MOST_PERCENT = 3.0
-"""Rises beyond it are told as factors."""
+"""Rise above which it is written as a factor."""
 
 
 def parameter_rows(judged: Judged) -> list[dict[str, object]]:
@@ -52,7 +52,7 @@ def parameter_rows(judged: Judged) -> list[dict[str, object]]:
 def channel_rows(
     before: Evaluation, after: Evaluation | None, became: Sequence[Outcome] = (), *, intervals: bool = True
 ) -> list[dict[str, object]]:
-    """Return one row per channel; ``became`` says what became of each."""
+    """Return one row per channel; ``became``: outcomes by channel."""
     shown = interval if intervals else value_alone
     rows, states = [], {found.name: found for found in became}
     closed = [None] * len(before.channels) if after is None else after.gaps_closed(before)
@@ -75,7 +75,7 @@ def channel_rows(
 
 
 def became_rows(verdict: Verdict) -> dict[str, str]:
-    """Return the channels that the correction makes worse, better, leaves, or of which this is not shown, by how much."""
+    """Return the channels by outcome (worse, better, same or not shown), with their changes."""
     found: dict[str, str] = {}
     for state in (WORSE, BETTER, SAME, NOT_SHOWN):
         kinds: dict[str, list[str]] = {}
@@ -89,7 +89,7 @@ def became_rows(verdict: Verdict) -> dict[str, str]:
 
 
 def named_rows(verdict: Verdict) -> list[dict[str, str]]:
-    """Return one row per named effect: its parameters, and how sure it is."""
+    """Return one row per named effect: parameters and certainty."""
     rows = []
     for effect in verdict.effects:
         unit = {p.name: "" if p.unit == "-" else f" {p.unit}" for p in EFFECTS.get(effect.name).parameters}
@@ -142,7 +142,7 @@ def rollout_rows(verdict: Verdict, variant: str, *, intervals: bool = True) -> l
 
 
 def unnamed_rows(selection: SelectionResult) -> list[dict[str, str]]:
-    """Return one row per effect that is not named: what speaks for it, and why it is not; the most probable first."""
+    """Return one row per effect that is not named, the most probable first: its odds, and the reason of its rejection."""
     chosen, reasons = selection.chosen, dict(selection.not_testable)
     for name, odds in chosen.adds.items():
         reasons.setdefault(name, Finding("only_linear" if odds > 0.0 else "less_probable", name))
@@ -165,16 +165,16 @@ def unnamed_rows(selection: SelectionResult) -> list[dict[str, str]]:
 
 
 def risen(rise: Rise) -> str:
-    """Return a rise with its interval, in per cent, and as a factor where it is large."""
+    """Return a relative rise with its interval in per cent, or as a factor if it is large."""
     if max(rise.value, rise.high) > MOST_PERCENT:
         return f"× {number(1.0 + rise.value)} [{number(1.0 + rise.low)}, {number(1.0 + rise.high)}]"
     return f"{rise.value:+.1%} [{rise.low:+.1%}, {rise.high:+.1%}]"
 
 
 def flight_table(verdict: Verdict, kinds: Collection[str]) -> dict[str, list]:
-    """Return one row per axis, and per quantity of a rollout, with one cell per test flight; and what got worse in which.
+    """Return one row per channel axis or rollout quantity with a cell per test flight, and the list of worse errors.
 
-    Channels of other ``kinds`` are left out.
+    Channels of other ``kinds`` are omitted.
     """
     rows: dict[str, dict[str, object]] = {}
     worse = []
@@ -199,23 +199,23 @@ def flight_table(verdict: Verdict, kinds: Collection[str]) -> dict[str, list]:
 
 
 def _label(outcome: Outcome) -> str:
-    """Return the name of an error in a table: a channel with its axis, or a quantity of a rollout."""
+    """Return the name of an error in a table: channel with axis, or rollout quantity."""
     channel = outcome.horizon is None
     return outcome.quantity.replace("_", " ").replace(".", " ") if channel else error_words(outcome.name)
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Return a number for people: three significant digits."""
+    """Return a number with three significant digits by default."""
     return "–" if not np.isfinite(value) else f"{value:.{digits}g}"
 
 
 def percent(share: float | None, digits: int = 1) -> str:
-    """Return a share in per cent; a dash where there is none."""
+    """Return a share in per cent, or a dash for None."""
     return "–" if share is None else f"{share:.{digits}%}"
 
 
 def value_alone(rms: Rms) -> str:
-    """Return a value without its interval."""
+    """Return a value without interval."""
     return number(rms.value)
 
 

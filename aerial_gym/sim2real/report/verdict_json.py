@@ -1,4 +1,4 @@
-"""The contents of ``verdict.json``: the verdict with its findings in words."""
+"""Content of ``verdict.json``: the verdict with its findings in words."""
 
 from aerial_gym.sim2real.judge.answer import answer, list_findings, meaning
 from aerial_gym.sim2real.judge.verdict import Verdict
@@ -6,7 +6,7 @@ from aerial_gym.sim2real.wording import answer_texts, finding_rows, join_texts, 
 
 
 def verdict_json(verdict: Verdict) -> dict[str, object]:
-    """Return a verdict as ``verdict.json`` holds it (DESIGN.md, section 4)."""
+    """Return the content of ``verdict.json`` (DESIGN.md, section 4)."""
     return {
         "verdict": verdict.verdict,
         "reason": " ".join(answer_texts(answer(verdict).parts)),
