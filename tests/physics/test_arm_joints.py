@@ -222,7 +222,7 @@ def test_rotors_on_the_body_axis_do_not_bend() -> None:
     """Coaxial rotors: no angle, finite gradients; a robot of such rotors alone is refused by name."""
     layout = tuple(MountCfg(position=(0.0, 0.0, z), axis=UPRIGHT, spin=s) for z, s in ((0.05, 1), (-0.05, -1)))
     robot = replace(cross_robot(), mounts=MountsCfg(layout=layout, source="test"))
-    with pytest.raises(ConfigError, match="effect joint_creep: all rotors stand on the vertical axis"):
+    with pytest.raises(ConfigError, match="effect joint_creep: all rotors are on the vertical axis"):
         joint("joint_creep").check(robot)
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
     hubs = vehicle.rotor_position.clone().requires_grad_()

@@ -1,9 +1,9 @@
-"""Commands reach the motors late: radio, bus and electronic speed controllers take their time.
+"""Dead time between commands and rotors, caused by radio, bus and electronic speed controllers.
 
-The rotors follow ``w_c(t - delay)``, with the command of each substep held over it. Where the delay is no multiple of the
-substep, the delayed command changes inside a substep, and the lag follows first one, then the other. Speeds, in force mode
-thrusts, of either sign are exact at the stages and ends of substeps for every delay and any division into substeps. Before
-the first command after a reset has come through, the rotors keep their states.
+The rotors follow ``w_c(t - delay)``, with a constant command over each substep. If the delay is no multiple of the substep,
+the delayed command changes within a substep, and the lag follows one command, then the other. Speeds (in force mode thrusts)
+of either sign are exact at the stages and ends of substeps for every delay and division into substeps. The rotors keep their
+states until the first command after a reset arrives.
 Source: Derived: transport delay of a piecewise constant signal; in multirotors e.g. Foerster (2015), System identification of
 the Crazyflie 2.0, section 3.2.
 """
@@ -16,7 +16,7 @@ from aerial_gym.physics.effects.kinds.command import DelayEffect
 from aerial_gym.physics.effects.parameter import Parameter
 
 LONGEST = 0.1
-"""Bound of the delay [s]; the backend keeps the commands of this span (51 at substeps of 2 ms)."""
+"""Largest delay [s]; the backend stores the commands of this span (51 at substeps of 2 ms)."""
 
 
 class ActuationDelay(DelayEffect):

@@ -1,4 +1,4 @@
-"""Water that a hull turns with it: as if it had another moment of inertia about each body axis.
+"""Added inertia: water that rotates with a hull adds to its moment of inertia about each body axis.
 
 ``J = J_declared + diag(x, y, z)`` about the centre of mass.
 Source: Lamb (1932), Hydrodynamics, articles 121-124; the other half of ``added_mass``.
@@ -19,7 +19,7 @@ class AddedInertia(VehicleEffect):
     """Inertia of the fluid about each body axis."""
 
     name = "added_inertia"
-    summary = "water that is turned with a hull: added inertia about each body axis"
+    summary = "water that rotates with a hull: added inertia about each body axis"
     acts_on = "inertia"
     parameters = tuple(
         Parameter(name=axis, unit="kg m²", low=0.0, high=1e4, scale=0.1, meaning=f"added inertia about body {axis}")

@@ -1,12 +1,12 @@
-"""Water that a hull pushes aside has to be accelerated with it: as if it had another mass along each body axis.
+"""Added mass: water that accelerates with a hull adds to its mass along each body axis.
 
 With added masses M_A = diag(x, y, z) at the centre of mass, v through water in steady uniform motion, and the weight m g::
 
     (m + M_A) a = F + m g + M_A (w x v) - w x (M_A v)      in body axes, a the acceleration in the world
     J w' = tau - w x J w - v x (M_A v)
 
-The last term, Munk's moment, turns a slender hull across its motion. A pendulum, a terminal speed and the energy
-``1/2 v (m + M_A) v + 1/2 w J w`` come out as they should. ``added_inertia`` is the same for turning.
+The last term, Munk's moment, turns a slender hull across its motion. Pendulum period, terminal speed and the energy
+``1/2 v (m + M_A) v + 1/2 w J w`` are correct. ``added_inertia`` is the rotational counterpart.
 Source: Lamb (1932), Hydrodynamics, articles 121-124 (Kirchhoff's equations); Fossen (2021), section 6.3.
 """
 

@@ -1,26 +1,26 @@
-"""What effects on soft joints at the roots of the rotor arms share: one Kelvin-Voigt element in each arm.
+"""Soft joints at the roots of the rotor arms: the common model, one Kelvin-Voigt element in each arm.
 
 An arm points from the vertical axis of the body to its hub, along the unit vector e, and bends at a hinge at the height of
 the hub, the length l away from it, about ``t = e x z``: upwards by the angle h. The hub moves by
 ``l (e (cos h - 1) + z sin h)``, and the axis a of the rotor turns with the arm to
-``a' = a cos h + (t x a) sin h + t (t . a) (1 - cos h)``: hub and thrust lean in.
-A thrust f bends by the moment ``f l a_z`` about the hinge whatever h is, for it turns with the arm. Spring and damper of the
-element balance it: ``tau h' = compliance f l a_z - h``. This f is that of the thrust map; what inflow and surfaces add to it
-acts along a' as well, but bends no further.
+``a' = a cos h + (t x a) sin h + t (t . a) (1 - cos h)``: hub and thrust tilt inwards.
+A thrust f has the moment ``f l a_z`` about the hinge at any h, because it turns with the arm. Spring and damper of the element
+balance it: ``tau h' = compliance f l a_z - h``. This f is that of the thrust map; the contributions of inflow and surfaces act
+along a' as well, but do not bend the arm.
 
-Over a substep dt ``h = h_f + (h_0 - h_f) exp(-dt / tau)`` with the angle of rest h_f, at most 1 rad, under the thrust at its
-start: exact for a thrust that is held. During the substep the arm is held at the new angle, half a substep ahead, as the thrust
-is half of one behind: while a thrust varies smoothly the angle is that of the middle, up to ``dt² / 12 tau`` times its rate;
-the start of a motion comes half a substep early.
+Over a substep dt ``h = h_f + (h_0 - h_f) exp(-dt / tau)`` with the steady angle h_f, at most 1 rad, under the initial thrust,
+which is exact for a constant thrust. During the substep the arm has the new angle, half a substep ahead, while the thrust is
+half a substep behind. For a smooth thrust the angle is that of the middle, up to ``dt² / 12 tau`` times its rate; the start of
+a motion comes half a substep early.
 
 Elements in series add their angles, as in a Kelvin chain: ``joint_spring`` is the fast one, ``joint_creep`` the slow one. Each
-adds its own wrench to that of the rigid arm; the products of both angles are left out (0.2 % of the thrust at 0.05 rad each).
-Left out as well: the inertia J of an arm, so that this holds well below the frequency ``1 / (2 pi sqrt(compliance J))`` with
-which it swings on its joint (17 Hz on Morphy); its weight, a constant bend that belongs to the declared hubs; and how the arms
-move mass and hubs.
+adds its own wrench to that of the rigid arm; products of both angles are neglected (0.2 % of the thrust at 0.05 rad each).
+Also neglected: the inertia J of an arm, so the model holds well below the arm's natural frequency
+``1 / (2 pi sqrt(compliance J))`` (17 Hz on Morphy); its weight, a constant bend in the declared hubs; and the motion of mass
+and hubs by the arms.
 Source: Derived: balance of moments about the hinge. Elements: Tschoegl (1989), The Phenomenological Theory of Linear
-Viscoelastic Behavior, section 3.4. Such arms: the Morphy quadrotor, whose bench record of a joint a damped linear spring with
-two creep elements, of 0.2 and 2.4 s, follows best (``aerial-gym identify joint``).
+Viscoelastic Behavior, section 3.4. Example: the Morphy quadrotor, whose joint on the bench fits best to a damped linear spring
+with two creep elements, of 0.2 and 2.4 s (``aerial-gym identify joint``).
 """
 
 import torch
@@ -40,20 +40,20 @@ from aerial_gym.physics.rotors import rotor_thrust, rotor_torque
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
 LARGEST_ANGLE = wp.constant(1.0)
-"""Of one element [rad]: four times the way to the stops of Morphy's arms."""
+"""Largest angle of one element [rad]: four times the range of Morphy's arms."""
 
 SHORTEST_ARM = wp.constant(1e-9)
-"""A hub nearer to the vertical axis of the body than this [m] has no arm."""
+"""Shortest arm [m]; a hub nearer to the vertical axis of the body has none."""
 
 HINGE = 0.4
-"""Where arms bend unless something else is known: on Morphy at 0.42 of the way from the axis to the hub."""
+"""Default position of the hinge between axis and hub; 0.42 on Morphy."""
 
 COMPLIANCE, TAU, PLACE, ANGLES = 0, 1, 2, 3
-"""Places of the parameters; behind them stands the angle of each arm [rad]."""
+"""Indices of the parameters; the angles of the arms [rad] follow."""
 
 
 def joint_parameters(*, fastest: float, slowest: float, tau_scale: float) -> tuple[Parameter, ...]:
-    """Return the parameters of an element with a time constant of ``fastest`` to ``slowest`` [s]."""
+    """Return the parameters of an element with a time constant from ``fastest`` to ``slowest`` [s]."""
     return (
         Parameter(
             name="compliance", unit="rad/(N m)", low=0.0, high=20.0, scale=0.1, meaning="angle per moment at the hinge"
@@ -83,9 +83,9 @@ def outwards(vehicle: Vehicle) -> tuple[Tensor, Tensor]:
 
 
 class ArmJoint(WrenchEffect):
-    """Rotor arms that bend under thrust, all alike. It remembers the angle of each arm [rad], upwards positive.
+    """Rotor arms that bend under thrust, with equal joints. Its memory is the angle of each arm [rad], positive upwards.
 
-    Arms are straight right after a reset, as those of a vehicle that has not lifted off yet.
+    Arms are straight after a reset, as before take-off.
     """
 
     rotor_memory = (0.0,)
@@ -96,10 +96,10 @@ class ArmJoint(WrenchEffect):
     def check(self, robot: RobotCfg) -> None:
         """Raise ``ConfigError`` if no rotor has an arm."""
         if all(max(abs(x), abs(y)) < SHORTEST_ARM for x, y, _ in (m.position for m in robot.mounts.layout)):
-            raise ConfigError(f"effect {self.name}: all rotors stand on the vertical axis of the body: no arm can bend")
+            raise ConfigError(f"effect {self.name}: all rotors are on the vertical axis of the body: no arm can bend")
 
     def deflection(self, vehicle: Vehicle, rotor_speed: Tensor, params: Tensor) -> Tensor:
-        """Return the angles [rad] at which arms rest under the thrust of rotor speeds [rad/s], both (E, R)."""
+        """Return the steady angles [rad] of arms under the thrust of rotor speeds [rad/s], both (E, R)."""
         length = (1.0 - params[:, PLACE, None]) * outwards(vehicle)[1]
         moment = rotor_thrust(vehicle, rotor_speed) * length * vehicle.rotor_axis[..., 2]
         limit = float(LARGEST_ANGLE)
@@ -114,9 +114,9 @@ class ArmJoint(WrenchEffect):
     def replay(self, track: Track, params: Tensor) -> Tensor:
         """Return the angles in every row of a flight, (T, R).
 
-        Between rows the angle of rest runs in a straight line, along which an element is followed exactly. Logs do not tell
-        what arms bore before: they are taken to rest at the start as in hover, shared among the rotors as over the flight, or
-        under the thrust of the first row if the vehicle then stands.
+        Between rows the steady angle is linear, with an exact solution of the element. Logs do not give the thrust before the
+        start: the initial angle is that of hover, shared among the rotors as over the flight, or that of the first row if the
+        vehicle is on the ground.
         """
         rest = self.deflection(track.vehicle, track.rotor_speed, params).numpy()
         if track.begins_on_ground:
@@ -128,7 +128,7 @@ class ArmJoint(WrenchEffect):
         return torch.from_numpy(relax(rest, start, tau=float(params[0, TAU]), step=track.step))
 
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
-        """Return what bent arms change of force and torque, (E, 6); the angles stand behind the parameters."""
+        """Return the change of force and torque by bent arms, (E, 6); the angles follow the parameters."""
         vehicle, angle = condition.vehicle, params[:, ANGLES:].unsqueeze(-1)
         out, distance = outwards(vehicle)
         sine, fall = angle.sin(), 2.0 * (0.5 * angle).sin().square()  # fall: 1 - cos

@@ -1,8 +1,8 @@
-"""Thrust falls where air comes from above and grows where it comes from below: a rotor meets its inflow.
+"""Axial inflow: thrust falls in air from above and grows in air from below.
 
 ``dT = -ka w v_a`` for a rotor of speed w whose hub moves with v_a along its axis through the air; a roll rate changes the
-thrust of both sides against it and so is damped. A reversed rotor is one whose axis points the other way: both v_a and dT
-change sign with it, and ``|w|`` stands for w.
+thrust of both sides against it and so is damped. A reversed rotor has the opposite axis: both v_a and dT change sign, and
+``|w|`` replaces w.
 Source: Leishman (2006), Principles of Helicopter Aerodynamics, section 3.3 (blade element in axial flight): the angle of
 attack falls by v_a / (w r), the lift by that times w²; Svacha, Mohta, Kumar (2017), Improving quadrotor trajectory
 tracking by compensating for aerodynamic effects, eq. 6.

@@ -1,10 +1,10 @@
-"""A battery under load gives less voltage, and the motors then reach less speed for the same command.
+"""Battery sag: voltage falls under load, and with it the rotor speed per command.
 
-A command leads to the speed ``w = w_c (1 - gain (1 - V / V_nominal))``: gain 0 is a controller that makes up for the voltage,
-1 a motor whose speed is proportional to it. In a flight V is measured. In the simulator it follows from the load at the start
+A command gives the speed ``w = w_c (1 - gain (1 - V / V_nominal))``: gain 0 is a controller that compensates the voltage, 1 a
+motor with speed proportional to it. In a flight V is measured. In the simulator it follows from the load at the start
 of each substep: with the mechanical power P of the rotors and the charge q drawn so far, ``V = E(q) - r I``,
-``V I = P / efficiency``, ``dq/dt = I``, where the open-circuit voltage E falls on a straight line from full to empty. A battery
-that is asked for more than it can give, ``E² / 4 r``, has V = E / 2.
+``V I = P / efficiency``, ``dq/dt = I``, with an open-circuit voltage E that falls linearly from full to empty. Beyond the
+largest power of the battery, ``E² / 4 r``, V = E / 2.
 Source: Derived: Kirchhoff's voltage law, e.g. Tremblay, Dessaint (2009), Experimental validation of a battery dynamic model
 for EV applications, section 2, without polarisation; speed of a DC motor: Drela (2007), First-order DC electric motor model.
 """
@@ -23,16 +23,16 @@ from aerial_gym.physics.rotors import rotor_torque
 from aerial_gym.physics.vehicle import Vehicle
 
 LEAST_SQUARE = wp.constant(1e-6)
-"""Of the discriminant over E²: beyond the power that the battery can give; keeps the slope of the root finite."""
+"""Least discriminant over E², for loads beyond the largest power; keeps the slope of the root finite."""
 
 
 def speed_factor(voltage: Tensor, nominal: Tensor, gain: Tensor) -> Tensor:
-    """Return the speed that a motor reaches per commanded speed, ``1 - gain (1 - V / V_nominal)``, not below 0."""
+    """Return the ratio of reached to commanded speed, ``1 - gain (1 - V / V_nominal)``, at least 0."""
     return (1.0 - gain * (1.0 - voltage / nominal)).clamp_min(0.0)
 
 
 def voltage_under_load(open_voltage: Tensor, resistance: Tensor, power: Tensor) -> Tensor:
-    """Return the voltage [V] of a battery that gives a power [W]: the larger root of ``V (E - V) / r = P``."""
+    """Return the voltage [V] of a battery at a power [W]: the larger root of ``V (E - V) / r = P``."""
     square = open_voltage.square()
     root = (square - 4.0 * resistance * power).maximum(LEAST_SQUARE * square).sqrt()
     return 0.5 * (open_voltage + root)

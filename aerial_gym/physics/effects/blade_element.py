@@ -1,8 +1,8 @@
-"""A rotor of blades instead of a thrust map alone: blade elements in a uniform inflow that follows from momentum.
+"""Blade-element model of rotors in a uniform inflow from momentum theory.
 
-The effect adds what blades in moving air give beyond what the maps of the robot file, measured at rest, say. A rotor that
-turns at w moves through the air with ``lambda_c`` along its thrust n and with the vector m, of size mu, in its plane, both in
-units of its tip speed w R. Forces are in units of ``rho pi R² (w R)²``, torques of that times R; 0 marks hover at the same w::
+The effect adds the forces of blades in moving air to the static maps of the robot file. A rotor of speed w moves through the
+air with ``lambda_c`` along its thrust n and with the vector m, of size mu, in its plane, both in units of its tip speed w R.
+Forces are in units of ``rho pi R² (w R)²``, torques of that times R; 0 marks hover at the same w::
 
     C_T = s a / 2 (Theta + mu² T / 2 - lambda / 2),     Theta = t0 / 3 + t1 / 4,  T = t0 + t1 / 2,  lambda = lambda_c + lambda_i
     b_c = -8 g² (1 + mu² / 2) m_s / d,  b_s = 8 g k m_s / d,    d = k² + g² (1 - mu⁴ / 4),  m_s = Theta - lambda / 4
@@ -11,11 +11,11 @@ units of its tip speed w R. Forces are in units of ``rho pi R² (w R)²``, torqu
     C_Y = s a / 2 b_s (3/4 lambda - Theta + mu² (b_c / 4 - T / 2))
     C_Q = lambda C_T + P0 (1 + 3 mu²) - mu² C_H,        P0 = C_Q0 - lambda_0 C_T0
 
-for blades of solidity s, lift slope a, and pitch ``t0 + t1 r`` at the share r of the radius, which stall nowhere. They flap by
-``mu (b_c cos psi + b_s sin psi)``, with psi from downstream. ``-b_c C_T`` is the thrust that leans back with the disc;
+for blades of solidity s, lift slope a, and pitch ``t0 + t1 r`` at the relative radius r, without stall. They flap by
+``mu (b_c cos psi + b_s sin psi)``, with psi from downstream. ``-b_c C_T`` is the thrust component of the tilted disc;
 ``b_c s a lambda / 8`` of it is lost, as flapping changes the drag in the plane. The pitch follows from the thrust map
-(``Theta = 2 C_T0 / (s a) + lambda_0 / 2``) and the profile drag from the torque map (P0): a vehicle at rest in still air is
-just as declared. ``lambda_i`` is that of ``induced_flow`` for the thrust C_T. The force on the hub is
+(``Theta = 2 C_T0 / (s a) + lambda_0 / 2``) and the profile drag from the torque map (P0), so a vehicle at rest in still air
+is as declared. ``lambda_i`` is that of ``induced_flow`` for the thrust C_T. The force on the hub is
 
     C_T n - C_H m + o C_Y (m x n)      o = +1 where the rotor turns counter-clockwise about n, else -1
 
@@ -56,15 +56,15 @@ from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.rotors import rotor_torque
 
 HALVINGS, NEWTON = 6, 3
-"""Of the search for the inflow. Its equation has one root, as the induced velocity grows with the thrust. Newton's method
-begins at the solution without sideways speed (of hover, if the rotor sinks), in a fast descent, where it would run astray,
-within what halving leaves. What then is missing is below 1e-4 of the inflow of hover."""
+"""Iterations of the search for the inflow. Its equation has one root, as the induced velocity grows with the thrust. Newton's
+method starts at the solution without sideways speed (of hover, if the rotor sinks). In a fast descent, where it may diverge,
+bisection brackets the root first. The final error is below 1e-4 of the inflow of hover."""
 
 FAST = wp.constant(0.8)
-"""A descent faster than this share of the induced velocity of hover is halved first."""
+"""Descent rate, as a share of the induced velocity of hover, above which bisection comes first."""
 
 SLOWEST = wp.constant(1.0)
-"""A rotor slower than this [rad/s] counts as turning at it."""
+"""Least rotor speed in the formulas [rad/s]."""
 
 LEAST = wp.constant(1e-6)
 """Least coefficient of thrust in hover and of induced velocity, and square of the least velocity in units of the tip speed."""
@@ -78,7 +78,9 @@ class BladeElement(WrenchEffect):
     name = "blade_element"
     summary = "blades in their inflow: thrust, H-force, torque and flapping in climb, descent and sideways flow"
     parameters = (
-        Parameter(name="share", unit="-", low=0.0, high=2.0, scale=0.3, meaning="how much of it acts; 1 is all"),
+        Parameter(
+            name="share", unit="-", low=0.0, high=2.0, scale=0.3, meaning="share of the model; 1 is full strength"
+        ),
         Parameter(
             name="solidity",
             unit="-",
@@ -127,12 +129,12 @@ class BladeElement(WrenchEffect):
     by_default = False
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return nothing of it, for a plastic propeller of two blades: as in the sources of ``docs/results/propellers.md``."""
+        """Return share 0, with a two-bladed plastic propeller as in the sources of ``docs/results/propellers.md``."""
         del robot
         return 0.0, 0.1, 3.3, -0.45, 0.4, 900.0
 
     def check(self, robot: RobotCfg) -> None:
-        """Raise ``ConfigError`` unless radii are known and drag torques are above what thrust costs an ideal rotor."""
+        """Raise ``ConfigError`` unless radii are known and drag torques exceed those of an ideal rotor."""
         share = robot.body.mass * STANDARD_GRAVITY / robot.num_rotors
         for rotor in robot.rotor_types:
             if rotor.radius is None:
@@ -259,7 +261,7 @@ class BladeElement(WrenchEffect):
 
 
 def _inflow(lift: Tensor, lifted: Tensor, climb: Tensor, mu: Tensor) -> Tensor:
-    """Return the induced velocity at which momentum and blades agree: ``2 v² = lift / 2 (lifted - (climb + f(v)) / 2)``.
+    """Return the induced velocity from the balance of momentum and blades: ``2 v² = lift / 2 (lifted - (climb + f(v)) / 2)``.
 
     Args:
         lift: Solidity times lift slope, (E, 1).
@@ -299,7 +301,7 @@ def _inflow(lift: Tensor, lifted: Tensor, climb: Tensor, mu: Tensor) -> Tensor:
 def _missing(
     found: Tensor, lift: Tensor, lifted: Tensor, climb: Tensor, mu: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return momentum less blades, ``2 v² - C_T``, and its slope in v; and the induced velocity f(v) and its slope."""
+    """Return the residual of momentum and blades, ``2 v² - C_T``, its slope in v, and the induced velocity f(v) and slope."""
     value, slope = induced(found, climb, mu)
     missing = 2.0 * found.square() - 0.5 * lift * (lifted - 0.5 * (climb + value))
     return missing, 4.0 * found + 0.25 * lift * slope, value, slope

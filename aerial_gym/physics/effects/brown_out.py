@@ -1,9 +1,9 @@
-"""A brown-out: for a while the supply gives so little that all motors reach a part of what they are told, or nothing.
+"""Brown-out: a temporary loss of supply voltage, during which all motors reach a part of their commands, or none.
 
-From the boundary between two substeps on that is nearest to ``time`` after the reset, for ``duration``, all rotors tend to
-``scale`` times the command, each with its own lag, and then to the command again: a loose contact, a battery that
-breaks down, speed controllers that start anew. What charge and load do to a battery that is whole is ``battery_sag``.
-Source: speed of a motor in proportion to its voltage, as in ``battery_sag``: Drela (2007), First-order DC electric motor model.
+It starts at the substep boundary nearest to ``time`` after the reset and lasts for ``duration``. All rotors then approach
+``scale`` times the command, each with its own lag, and afterwards the command again. Causes are a loose contact, a failing
+battery, or a restart of speed controllers. ``battery_sag`` models charge and load of an intact battery.
+Source: motor speed proportional to voltage, as in ``battery_sag``: Drela (2007), First-order DC electric motor model.
 """
 
 import torch
@@ -19,7 +19,7 @@ from aerial_gym.physics.vehicle import Vehicle
 
 
 class BrownOut(CommandEffect):
-    """A factor on the commands of all rotors for a while."""
+    """A temporary factor on the commands of all rotors."""
 
     name = "brown_out"
     summary = "for a while all rotors reach a part of their commands, or nothing"
@@ -30,7 +30,7 @@ class BrownOut(CommandEffect):
             low=0.0,
             high=2.0,
             scale=0.3,
-            meaning="speed, in force mode thrust, per what is told, while it lasts",
+            meaning="speed, in force mode thrust, per command, while it lasts",
         ),
         TIME,
         Parameter(
@@ -39,7 +39,7 @@ class BrownOut(CommandEffect):
             low=0.0,
             high=LATEST,
             scale=0.1,
-            meaning="until the supply is whole again",
+            meaning="until the supply recovers",
             kind="convention",
         ),
     )
@@ -51,7 +51,7 @@ class BrownOut(CommandEffect):
     random = True
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return 1 for no time: they do as they are told."""
+        """Return factor 1 for zero duration."""
         del robot
         return 1.0, 0.0, 0.0
 

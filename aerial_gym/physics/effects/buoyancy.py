@@ -1,8 +1,8 @@
-"""The weight of the water that a hull displaces pushes it up, at the centre of the displaced volume.
+"""Buoyancy: the weight of displaced water pushes a hull up at the centre of its displaced volume.
 
 With b from the body origin to the centre of buoyancy and c to the centre of mass, the force F along world z acts at b. Its
-torque about the centre of mass, ``(b - c) x F``, rights a hull whose centre of buoyancy is above its centre of mass. Displaced
-air is a thousandth of that, and left out elsewhere. The hull is under water wherever it is: there is no surface.
+torque about the centre of mass, ``(b - c) x F``, rights a hull whose centre of buoyancy is above its centre of mass. The
+buoyancy of air, a thousandth of it, is neglected elsewhere. The hull is always submerged: there is no surface.
 Source: Fossen (2021), Handbook of Marine Craft Hydrodynamics and Motion Control, section 4.1 (submerged vehicles).
 """
 

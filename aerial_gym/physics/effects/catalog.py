@@ -1,6 +1,6 @@
-"""Every effect that comes with the package, in one table. Adding an effect is adding one file and one line here.
+"""The table of registered effects. A new effect needs one file and one line here.
 
-The file has the name of the effect; it is imported when the effect is first asked for.
+The file has the name of the effect and is imported at its first use.
 """
 
 from typing import TYPE_CHECKING

@@ -1,9 +1,9 @@
-"""Rotors close below a ceiling give more thrust at the same speed: it keeps air from them, and they suck towards it.
+"""Ceiling effect: rotors close below a ceiling give more thrust at the same speed, because the surface restricts their inflow.
 
-``T' = T / (1 - k (R / 4 h)²)`` for a rotor of radius R whose hub is a distance h from the surface that bounds the air which it
-draws in: below the ceiling where its thrust points up, as T and the axis of the rotor have it, and above the ground where it
-points down: a reversed rotor is sucked towards the ground. Near the other surface it feels ``ground_effect``. Closer than
-``h = R / 2`` the formula is not meant to hold, and the gain stays what it is there; beyond the surface as well.
+``T' = T / (1 - k (R / 4 h)²)`` for a rotor of radius R with its hub at a distance h from the surface at its inlet. That is the
+ceiling for upward thrust, by the sign of T and the axis of the rotor, and the ground for downward thrust, as of a reversed
+rotor. The other surface has ``ground_effect``. The gain is constant below ``h = R / 2``, where the formula does not hold, and
+beyond the surface.
 Source: Powers, Mellinger, Kushleyev, Kothmann, Kumar (2013), Influence of aerodynamics and proximity effects in quadrotor
 flight: ``T / T' = 1 - (1 / a_1) (R / (h + a_2))²`` near a ceiling; here a_2 = 0, and ``k = 16 / a_1`` is the factor of
 ``ground_effect``, so that their strengths compare. For thrust that points down derived, as there.
@@ -21,7 +21,7 @@ from aerial_gym.physics.effects.kinds.rotor import RotorEffect
 from aerial_gym.physics.effects.parameter import Parameter
 
 CLOSEST = wp.constant(0.5)
-"""Least distance of a hub that makes a difference, in radii."""
+"""Least effective distance of a hub, in radii."""
 
 
 class CeilingEffect(RotorEffect):

@@ -1,7 +1,7 @@
-"""The centre of mass is not where it was declared; the inertia about it is unchanged.
+"""Shifted centre of mass, with unchanged inertia about it.
 
-The rotors then act with other levers, ``tau = sum (r - c) x f``, and a point fixed to the body feels
-``alpha x r + w x (w x r)`` from its distance to the centre of mass.
+It changes the levers of the rotors, ``tau = sum (r - c) x f``, and the acceleration ``alpha x r + w x (w x r)`` of a
+body-fixed point at r from the centre of mass.
 Source: Derived: Newton-Euler equations about the centre of mass, e.g. Featherstone (2008), Rigid Body Dynamics
 Algorithms, section 2.15.
 """

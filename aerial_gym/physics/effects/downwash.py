@@ -1,8 +1,8 @@
-"""The wake of a vehicle above pushes down whatever flies below it.
+"""Downwash: the wake of a vehicle above pushes this one down.
 
-``F = -force exp(-d² / 2 sigma²)`` along world z at the centre of mass, with the horizontal distance d to the other vehicle;
-nothing where the centre of mass is above it. In the simulator the other one is at ``downwash_position`` (GTD): infinitely high
-over the environment's origin, unless someone writes another place.
+``F = -force exp(-d² / 2 sigma²)`` along world z at the centre of mass, with the horizontal distance d to the other vehicle, and
+0 above it. In the simulator the other vehicle is at ``downwash_position`` (GTD), by default infinitely high over the
+environment's origin.
 Source: Gaussian profile of a developed jet: Pope (2000), Turbulent Flows, section 5.1; such forces between multirotors are
 measured by Shi, Honig, Shi, Yue, Chung (2022), Neural-Swarm2, IEEE T-RO. The decay of the jet with height is left out.
 """

@@ -1,4 +1,4 @@
-"""What effects share that begin at a moment of an episode: how the moment is given, and when it has come."""
+"""Start time of failures: its parameter, and its substep."""
 
 from torch import Tensor
 
@@ -6,10 +6,10 @@ from aerial_gym.physics.effects.base import Moment
 from aerial_gym.physics.effects.parameter import Parameter
 
 LATEST = 1e5
-"""Bound of a moment [s]."""
+"""Largest start time [s]."""
 
 NEVER = 1e4
-"""A moment that no episode lives to see [s]."""
+"""Start time beyond every episode [s]."""
 
 TIME = Parameter(
     name="time",
@@ -23,5 +23,5 @@ TIME = Parameter(
 
 
 def middle_of(moment: Moment, like: Tensor) -> Tensor:
-    """Return the middle of the substep that begins [s], (E,): failures begin at the boundary that is nearest to their time."""
+    """Return the middle of the coming substep [s], (E,), because failures begin at the boundary nearest to their time."""
     return (moment.since.to(like.dtype) + 0.5) * moment.dt

@@ -1,15 +1,14 @@
-"""Rotors near the ground give more thrust at the same speed: the ground holds up their wake.
+"""Ground effect: rotors near the ground give more thrust at the same speed, because it blocks their wake.
 
-``T' = T / (1 - k (R / 4 h)²)`` for a rotor of radius R whose hub is a distance h from the surface at which its wake blows: at a
-height h above the ground where its thrust points up, as T and the axis of the rotor have it, and h below a ceiling where it
-points down. Near the other surface such a rotor feels ``ceiling_effect``. Where the thrust passes through zero the gain does
-too; between, the tilt of a rotor makes no difference, for the sources are of level ones; k = 1 for a single rotor by the
-method of images, larger for several rotors side by side: the source for multirotors, with four rotors 3 R apart, comes to about
-2.5 at a height of 3 R, and to 10 with the fountain that lifts the body between them. Below ``h = R / 2`` the formula is not
-meant to hold, and the gain stays what it is there; thrust is at most doubled.
+``T' = T / (1 - k (R / 4 h)²)`` for a rotor of radius R with its hub at a distance h from the surface in its wake. That is the
+ground for upward thrust, by the sign of T and the axis of the rotor, and the ceiling for downward thrust. The other surface has
+``ceiling_effect``. The gain vanishes with the thrust, and does not depend on tilt, because the sources are for level rotors.
+k = 1 for a single rotor by the method of images, and larger for several: the source for multirotors, with four rotors 3 R
+apart, gives about 2.5 at a height of 3 R, and 10 with the fountain that lifts the body between them. The gain is constant
+below ``h = R / 2``, where the formula does not hold; thrust is at most doubled.
 Source: Cheeseman, Bennett (1955), The effect of the ground on a helicopter rotor in forward flight, ARC R&M 3021; factor
 for multirotors: Sanchez-Cuevas, Heredia, Ollero (2017), Characterization of the aerodynamic ground effect. For thrust that
-points down derived: air has no up, so that such a rotor is the mirror image of one over the ground.
+points down derived: such a rotor is the mirror image of one over the ground.
 """
 
 import warp as wp
@@ -24,10 +23,10 @@ from aerial_gym.physics.effects.kinds.rotor import RotorEffect
 from aerial_gym.physics.effects.parameter import Parameter
 
 LOWEST = wp.constant(0.5)
-"""Least height of a hub that makes a difference, in radii."""
+"""Least effective height of a hub, in radii."""
 
 LARGEST_SHARE = wp.constant(0.5)
-"""Of the thrust that is the ground's: twice the thrust."""
+"""Largest share of the thrust due to the ground, which doubles the thrust."""
 
 
 class GroundEffect(RotorEffect):

@@ -1,8 +1,8 @@
-"""Gusts: wind that wanders about zero, each axis by itself, an Ornstein-Uhlenbeck process.
+"""Gusts: random wind with zero mean, an independent Ornstein-Uhlenbeck process on each axis.
 
 ``dw = -w dt / T + std sqrt(2 / T) dW``, with the variance std² and the autocorrelation ``exp(-|t| / T)``. Over a substep
-``w' = a w + std sqrt(1 - a²) N(0, 1)``, ``a = exp(-dt / T)``: exact at the ends of substeps for every length of them; inside a
-substep the wind is held. The first value after a reset is drawn from N(0, std²).
+``w' = a w + std sqrt(1 - a²) N(0, 1)``, ``a = exp(-dt / T)``: exact at the ends of substeps of any length; within a substep the
+wind is constant. The first value after a reset is drawn from N(0, std²).
 Source: Gillespie (1996), Exact numerical simulation of the Ornstein-Uhlenbeck process and its integral, eq. 1.9; as a model of
 turbulence it is the longitudinal Dryden spectrum, MIL-F-8785C, section 3.7.
 """
@@ -18,7 +18,7 @@ from aerial_gym.physics.effects.kinds.wind import WindEffect
 from aerial_gym.physics.effects.parameter import Parameter
 
 SMALL = wp.constant(0.01)
-"""Below it ``1 - exp(-x)`` is its series, exact in float32 (next term 4e-10 of it)."""
+"""Argument below which ``1 - exp(-x)`` comes from its series, exact in float32 (next term 4e-10 of it)."""
 
 
 class Gusts(WindEffect):
@@ -50,7 +50,7 @@ class Gusts(WindEffect):
         return decay * values[:, 2:] + spread * counted_normal(moment.random, 0, 3, dtype=values.dtype)
 
     def wind(self, position: Tensor, params: Tensor) -> Tensor:
-        """Return the remembered wind, (E, 3)."""
+        """Return the wind in memory, (E, 3)."""
         del position
         return params[:, 2:]
 

@@ -1,11 +1,11 @@
-"""Blade flapping in sideways flow: a force against the motion in the plane of a rotor, and a moment at its hub.
+"""H-force and flapping: in sideways flow a rotor has an in-plane force against the motion, and a moment at its hub.
 
-At a hub l that moves with v through the air, with the part ``v_e`` of it in the plane of a rotor of axis a and speed w:
+For a hub at l with velocity v through the air, its component ``v_e`` in the plane of a rotor of axis a and speed w gives
 ``F = -kh w v_e`` at the hub, and ``tau = l x F + kf w (v_e x a)``: in forward flight the disc tilts back, and lifts the nose.
 Source: Mahony, Kumar, Corke (2012), Multirotor Aerial Vehicles, section "blade flapping"; Hoffmann, Huang, Waslander, Tomlin
 (2007), Quadrotor helicopter flight dynamics and control, section III.B. A lift that is linear in the tip speed makes both
-proportional to w v. A reversed rotor is one whose axis points the other way: its force is against the motion as before, with
-``|w|``, and its moment changes sign with w, as its disc tilts back about the opposite thrust.
+proportional to w v. A reversed rotor has the opposite axis: its force is against the motion as before, with ``|w|``, and its
+moment changes sign with w, as its disc tilts back about the opposite thrust.
 """
 
 import torch

@@ -1,4 +1,4 @@
-"""Accelerometer and gyroscope read a constant too much.
+"""IMU bias: constant errors of accelerometer and gyroscope.
 
 ``f_measured = f + (ax, ay, az)``, ``w_measured = w + (gx, gy, gz)``, in body axes.
 Source: Titterton, Weston (2004), Strapdown Inertial Navigation Technology, section 12.3 (fixed bias).

@@ -1,4 +1,4 @@
-"""What effects on inertial sensors make of a true specific force and angular velocity, as numbers: they are affine.
+"""Affine errors of inertial sensors: offset and matrix of all effects on specific force and angular velocity.
 
 Frames: body is x forward, y left, z up. Letters: E environments, P parameters of an effect.
 """
@@ -24,7 +24,7 @@ def imu_errors(effects: Sequence[tuple[ImuEffect, Tensor]]) -> Tensor:
         ``b, A e_x, A e_y, A e_z`` of the specific force [m/s²], then of the angular velocity [rad/s], body.
 
     Source:
-        Derived: b is what is measured of nothing, a column of A what is measured of a unit vector less b.
+        Derived: b is the measurement of zero, and a column of A is the measurement of a unit vector minus b.
     """
     first = effects[0][1]
     zero = torch.zeros_like(first[:, :1])

@@ -1,4 +1,4 @@
-"""The inertial sensors are turned against the body: ``f_measured = R^T f``, ``w_measured = R^T w``.
+"""IMU misalignment: sensor axes rotated against the body, ``f_measured = R^T f``, ``w_measured = R^T w``.
 
 R turns sensor axes into body axes: roll about x, pitch about y, yaw about z, applied in this order (R = R_z R_y R_x).
 Source: Titterton, Weston (2004), Strapdown Inertial Navigation Technology, section 12.3 (mounting misalignment).
@@ -12,10 +12,10 @@ from aerial_gym.physics.effects.parameter import Parameter
 
 
 class ImuMisalignment(ImuEffect):
-    """A turned mount of the inertial sensors."""
+    """Rotation of the inertial sensors' mount."""
 
     name = "imu_misalignment"
-    summary = "inertial sensors that are turned against the body"
+    summary = "inertial sensors that are rotated against the body"
     parameters = tuple(
         Parameter(name=name, unit="rad", low=-0.8, high=0.8, scale=0.02, meaning=f"turn about {axis}")
         for name, axis in (("roll", "x"), ("pitch", "y"), ("yaw", "z"))

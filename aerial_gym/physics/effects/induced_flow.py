@@ -1,4 +1,4 @@
-"""The velocity that a rotor gives to the air in climb, descent and sideways flow.
+"""Induced velocity of a rotor in climb, descent and sideways flow.
 
 In units of the induced velocity of hover ``v_h``, at the climb rate ``x = v_a / v_h`` along the thrust::
 
@@ -6,13 +6,13 @@ In units of the induced velocity of hover ``v_h``, at the climb rate ``x = v_a /
     p(x) = 1 + k1 x + k2 x² + k3 x³ + k4 x⁴          X_w < x < 0    measured: descent through the vortex ring
     p(x) = 1 / (-x / 2 + sqrt(x² / 4 - 1))          x <= X_w       momentum theory, windmill brake
 
-The fit is meant for -2 < x < 0 and ends there at 1.026, where momentum theory begins at 1, infinitely steep: fit and theory
-meet at ``X_w = -2.042``, which is where we change over, so that p is continuous. Momentum theory alone has no answer
-between: the wake does not leave the rotor. The fit is the mean of a flow that shakes, and its fluctuation is left out.
+The fit is valid for -2 < x < 0 and ends there at 1.026, where momentum theory begins at 1 with infinite slope. Fit and theory
+meet at ``X_w = -2.042``, the switch that makes p continuous. Momentum theory alone has no solution between, because the wake
+does not leave the rotor. The fit is the mean of an unsteady flow, whose fluctuation is neglected.
 
-With sideways speed ``y = v_e / v_h`` the induced velocity f solves ``f² (y² + (f / p²)²) = 1``: exactly p(x) where y = 0,
-exactly Glauert's ``f² (y² + f²) = 1`` where x = 0, and ``1 / y`` at high speed; between, for climbs of up to 2 v_h, it is
-within 10 % of ``f² (y² + (x + f)²) = 1``.
+With sideways speed ``y = v_e / v_h`` the induced velocity f solves ``f² (y² + (f / p²)²) = 1``: exactly p(x) for y = 0, exactly
+Glauert's ``f² (y² + f²) = 1`` for x = 0, and ``1 / y`` at high speed. Between, for climbs of up to 2 v_h, it is within 10 % of
+``f² (y² + (x + f)²) = 1``.
 Source: Leishman (2006), Principles of Helicopter Aerodynamics, sections 2.13 (climb, windmill brake, and the fit, with the
 induced velocity of hover as unit) and 2.14 (Glauert). The joint formula for x and y is our own.
 """
@@ -69,7 +69,7 @@ def induced(hover: Tensor, climb: Tensor, edgewise: Tensor) -> tuple[Tensor, Ten
 
 @wp.func
 def axial_induced_warp(climb: float):
-    """Return one over the value of ``axial_induced`` and its slope over it, for one rotor.
+    """Return the reciprocal of ``axial_induced`` and its relative slope, for one rotor.
 
     In climb and in the windmill brake state ``1 / v = |x| / 2 + sqrt(x² / 4 +- 1)``; the slope is ``-+ 1 / 2`` over that root.
     """

@@ -1,4 +1,4 @@
-"""The inertia about the body axes is not what was declared.
+"""Inertia error: factors on the declared moments of inertia about the body axes.
 
 ``J' = S J S`` with the diagonal ``S = sqrt(s)``: moments of inertia scale by s, and J' stays positive definite.
 Source: Derived: a congruence keeps a matrix positive definite (Sylvester's law of inertia).

@@ -1,4 +1,4 @@
-"""Soft arms that follow the thrust fast: elastic joints with their own damping.
+"""Joint spring: soft arms that follow the thrust quickly, with elastic, damped joints.
 
 One Kelvin-Voigt element in each arm, ``tau h' = compliance f l a_z - h``, in ``arm_joint``.
 """

@@ -1,9 +1,9 @@
-"""Force and torque that no named effect explains, as a small network of what the body feels.
+"""Learned residual: a small network for force and torque that no named effect explains.
 
 With the inputs u (velocity through the air, angular velocity, mean squared rotor speed), held within the training data:
 ``x = (clip(u) - centre) / scale``, ``h = tanh(W1 x + b1)``, ..., ``y = W h + b``; the wrench is ``t(q) clip(y)`` with the trust
 ``t = s² (3 - 2 s)``, ``s = clip((4 - q) / 3)`` in [0, 1], and ``q = |whitening (u - centre) / scale|²``: 1 within the training
-data (Mahalanobis distance), 0 from twice as far on. Neither place nor time is an input, so it cannot learn a map of the room.
+data (Mahalanobis distance), 0 beyond twice that distance. Without position and time it cannot learn a map of the room.
 Source: Goodfellow, Bengio, Courville (2016), Deep Learning, section 6 (the network); the bounds are our own.
 """
 
@@ -39,13 +39,18 @@ def network(values: Tensor, hidden: Sequence[Layer], output: Layer) -> Tensor:
 
 
 class LearnedResidual(WrenchEffect):
-    """A network with the numbers of one robot file; it is not registered, because it is nothing without them."""
+    """The network of one robot file; it is not registered, because it needs the numbers of that file."""
 
     name = "learned_residual"
     summary = "force and torque learned from flights, where no named effect fits"
     parameters = (
         Parameter(
-            name="share", unit="-", low=0.0, high=1.0, scale=0.1, meaning="how much of it acts; robot files have 1"
+            name="share",
+            unit="-",
+            low=0.0,
+            high=1.0,
+            scale=0.1,
+            meaning="share of the network's output; 1 in robot files",
         ),
     )
     excitation = "any motion; beyond what was flown it fades to zero"
@@ -55,7 +60,7 @@ class LearnedResidual(WrenchEffect):
     def __init__(
         self, cfg: LearnedResidualCfg, *, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu"
     ) -> None:
-        """Put the numbers where the torch formula needs them; the Warp twin has them as constants."""
+        """Store the numbers as tensors for the torch formula; the Warp version has them as constants."""
 
         def put(values: object) -> Tensor:
             return torch.tensor(values, dtype=dtype, device=device)
@@ -71,7 +76,7 @@ class LearnedResidual(WrenchEffect):
         return LearnedResidual(self.cfg, dtype=dtype, device=self._low.device)
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return 0: nothing of it."""
+        """Return share 0."""
         del robot
         return (0.0,)
 
@@ -127,7 +132,7 @@ def _matrix(rows: tuple[tuple[float, ...], ...]) -> Any:
 
 
 def _hidden_layers(layers: tuple[LayerCfg, ...]) -> wp.Function:
-    """Return the layers with tanh as one function, (standardised inputs) -> outputs of the last of them."""
+    """Return the hidden layers as one function, from standardised inputs to the outputs of the last layer."""
     *before, last = layers
     inputs, outputs, width = _vector(layers[0].num_inputs), _vector(len(last.bias)), len(last.bias)
     weights, bias = _matrix(last.weights), outputs(*last.bias)

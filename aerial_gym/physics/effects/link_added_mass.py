@@ -1,4 +1,4 @@
-"""Water that each link of a vehicle that bends pushes aside and turns with it: as if it had another mass along each axis.
+"""Added mass of links: water that accelerates with each link of an articulated vehicle.
 
 For each link Kirchhoff's equations, with added masses A = diag(mx my mz) along the axes of the link (those of the body in the
 reference pose) at its centre of mass, added inertias B = diag(jx jy jz) about these, v the velocity of that centre through
@@ -7,11 +7,11 @@ water in steady uniform motion, and w the angular velocity of the link; in axes 
     F_water = -(A (a - w x v) + w x (A v))         a the acceleration of the centre in the world
     T_water = -(B w' + w x (B w) + v x (A v))      about the centre
 
-The last term, Munk's moment, turns a slender link across its motion. What follows accelerations stands beside the mass of the
-link in the equations of motion, and has no weight: an accelerometer feels it by the motion alone. The energy of the water is
-``1/2 v A v + 1/2 w B w`` of each link; that one link moves water for another is left out. For each link what ``added_mass`` and
-``added_inertia`` are for a rigid hull, which change what a given force makes of one body; a link is pushed by what hangs on
-it, so that here water is inertia. Parameters are of all links with mass, or of one (``on_links.ByLink``). The engine's side of
+The last term, Munk's moment, turns a slender link across its motion. The terms of acceleration add to the mass of the link in
+the equations of motion, without weight, so an accelerometer senses them by the motion only. The energy of the water is
+``1/2 v A v + 1/2 w B w`` for each link; interaction between links is neglected. This is the counterpart of ``added_mass`` and
+``added_inertia`` for a rigid hull. Those scale the response of one body to a force; links also push each other, so here the
+water is part of the inertia. Parameters are of all links with mass, or of one (``on_links.ByLink``). The engine's side of
 it is ``articulated.link_fluid``.
 Source: Lamb (1932), Hydrodynamics, articles 121-124 (Kirchhoff's equations); Fossen (2021), Handbook of Marine Craft
 Hydrodynamics and Motion Control, section 6.3.

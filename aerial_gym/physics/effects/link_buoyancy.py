@@ -1,4 +1,4 @@
-"""The weight of the water that each link of a vehicle that bends displaces pushes it up.
+"""Buoyancy of links: the weight of displaced water pushes each link of an articulated vehicle up.
 
 ``F = rho V g`` along world z at the link's centre of buoyancy, ``x y z`` along the axes of the link (those of the body in the
 reference pose) from its centre of mass: with the link in whatever way it is turned and joints bend. For each link what

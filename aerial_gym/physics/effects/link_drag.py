@@ -1,4 +1,4 @@
-"""Drag of every link of a vehicle that bends, linear and quadratic, along and about each axis of the link.
+"""Drag of links of an articulated vehicle, linear and quadratic, along and about each axis of the link.
 
 ``F_i = -(l_i + q_i |v|) v_i`` at the centre of mass of the link and ``tau_i = -(a_i + b_i |w|) w_i``, with v the velocity of
 that centre through the air: for each link what ``rotor_drag`` and ``quadratic_drag`` are for a rigid body. The wind is that at
@@ -77,7 +77,7 @@ class LinkDrag(ByLink, LinkEffect):
 
 
 def _length(vector: Tensor) -> Tensor:
-    """Return lengths (..., 1) of vectors (..., 3), whose gradient at rest is zero."""
+    """Return lengths (..., 1) of vectors (..., 3), with zero gradient at rest."""
     square = (vector * vector).sum(-1, keepdim=True)
     moving = square > 0.0
     return torch.where(moving, square, torch.ones_like(square)).sqrt() * moving

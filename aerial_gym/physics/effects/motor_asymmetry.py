@@ -1,6 +1,6 @@
-"""Rotors speed up with another lag than they slow down: a motor drives a rotor, but only drag brakes it.
+"""Motor asymmetry: different lags of rising and falling rotor speeds, because drag alone brakes a rotor.
 
-``tau_up dw/dt = w_command - w`` where the command is above the speed, ``tau_down`` where it is below.
+``tau_up dw/dt = w_command - w`` for a command above the speed, with ``tau_down`` for one below.
 Source: Foerster (2015), System identification of the Crazyflie 2.0, section 3.3, measures steps of both signs.
 """
 
@@ -32,7 +32,7 @@ class MotorAsymmetry(VehicleEffect):
     rotors = ANY_ROTOR
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return the declared lags, their means where rotors differ."""
+        """Return the declared lags, as means over the rotors."""
         return declared_lag(robot)
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:

@@ -1,10 +1,10 @@
-"""A motor that fails in flight: from a moment on its rotor follows a part of what it is told, or stands still.
+"""Motor failure in flight: from a given time on, one rotor follows a part of its command, or stops.
 
-The rotor tends to ``scale`` times the command, with its own lag, from the boundary between two substeps on that is nearest to
-``time`` after the reset; before, to the command. Thrust, drag torque and spin follow from the speed as ever: where thrust goes
-with its square, a rotor is left with ``scale²`` of the thrust.
+From the substep boundary nearest to ``time`` after the reset, the rotor approaches ``scale`` times the command, with its own
+lag; before, the command. Thrust and drag torque follow from the speed as usual: with a quadratic thrust map, ``scale²`` of the
+thrust remains.
 Source: loss of effectiveness of an actuator, e.g. Zhang, Jiang (2008), Bibliographical review on reconfigurable fault-tolerant
-control systems, section 2; the lag makes it a motor that runs down rather than a propeller that breaks (``weak_motor``).
+control systems, section 2; with the lag it models a motor that runs down, not a broken propeller (``weak_motor``).
 """
 
 import torch
@@ -21,10 +21,10 @@ from aerial_gym.physics.vehicle import Vehicle
 
 
 class MotorFailure(CommandEffect):
-    """A factor on the command of one rotor from a moment on."""
+    """A factor on the command of one rotor from a given time on."""
 
     name = "motor_failure"
-    summary = "from a moment on one rotor follows a part of its command, or stands still"
+    summary = "from a given time on one rotor follows a part of its command, or stops"
     parameters = (
         ROTOR,
         Parameter(
@@ -33,7 +33,7 @@ class MotorFailure(CommandEffect):
             low=0.0,
             high=2.0,
             scale=0.3,
-            meaning="speed, in force mode thrust, per what is told, after it",
+            meaning="speed, in force mode thrust, per command, after it",
         ),
         TIME,
     )
@@ -45,7 +45,7 @@ class MotorFailure(CommandEffect):
     random = True
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return 1 for the first rotor from the start: it does as it is told."""
+        """Return factor 1 for the first rotor from the start."""
         del robot
         return 1.0, 1.0, 0.0
 

@@ -1,6 +1,6 @@
-"""One rotor does not push along its declared axis: a bent arm or a skewed motor mount.
+"""Motor tilt: the axis of one rotor differs from the declared one, as with a bent arm or a skewed mount.
 
-The axis a is turned by a roll about body x, then by a pitch about body y: ``a' = R_y(pitch) R_x(roll) a``.
+The axis a is rotated by a roll about body x, then by a pitch about body y: ``a' = R_y(pitch) R_x(roll) a``.
 Source: Derived: rotation of a vector, e.g. Siciliano et al. (2009), Robotics, section 2.2.
 """
 
@@ -18,7 +18,7 @@ from aerial_gym.physics.vehicle import Vehicle
 
 
 class MotorTilt(VehicleEffect):
-    """A turn of the axis of one rotor."""
+    """Rotation of the axis of one rotor."""
 
     name = "motor_tilt"
     summary = "the axis of one rotor is turned from its declared direction"
@@ -34,12 +34,12 @@ class MotorTilt(VehicleEffect):
     rotors = ANY_ROTOR
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return no turn of the first rotor."""
+        """Return zero rotation of the first rotor."""
         del robot
         return 1.0, 0.0, 0.0
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
-        """Return the vehicle with one axis turned."""
+        """Return the vehicle with one axis rotated."""
         chosen = chosen_rotor(vehicle, params[:, 0])
         roll, pitch = (chosen * params[:, k : k + 1] for k in (1, 2))
         x, y, z = vehicle.rotor_axis.unbind(-1)

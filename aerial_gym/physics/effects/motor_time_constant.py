@@ -1,6 +1,6 @@
-"""The rotors follow their commands with another time constant than declared, the same for rise and fall.
+"""Motor time constant: the true lag of the rotors, equal for rise and fall, in place of the declared one.
 
-``tau dw/dt = w_command - w``. It acts between command and speed: flights without commands cannot show it.
+``tau dw/dt = w_command - w``. It acts between command and speed, so flights without commands cannot show it.
 Source: Pounds, Mahony, Corke (2010), Modelling and control of a large quadrotor robot, section 3.3.
 """
 

@@ -18,9 +18,9 @@ from aerial_gym.physics.effects.parameter import Parameter
 
 
 class ByLink:
-    """Parameters of each of ``columns``: of all links with mass, the base among them, or of one in its place.
+    """Parameters of an effect per link: each of ``columns`` for all links with mass, or for one named link.
 
-    They are called ``qx``, or with the name of a link ``arm.qx``, ``base.qx``; what a robot file leaves out is zero.
+    Their names are ``qx`` for all links (with the base), and ``arm.qx`` or ``base.qx`` for one; missing ones are zero.
     """
 
     name: ClassVar[str]
@@ -31,7 +31,7 @@ class ByLink:
     """What acts at the centre of mass of a link, in a word."""
 
     def __init__(self, names: Sequence[str] | None = None, links: Sequence[str] = ()) -> None:
-        """Take the names of the parameters, None for those of all links, and the links of a vehicle, the base first."""
+        """Store the names of the parameters (None: those of all links) and the links of a vehicle, the base first."""
         self._links = {link: number for number, link in enumerate(links)}
         if names is not None:
             columns = {parameter.name: parameter for parameter in self.columns}
@@ -44,7 +44,7 @@ class ByLink:
     def bind_robot(self, robot: RobotCfg) -> Self:
         """Return the effect with the parameters that the robot file names."""
         if robot.joints is None:
-            return self  # which is refused
+            return self  # refused elsewhere
         names = tuple(robot.effects.get(self.name, {}))
         bare = {joint.name for joint in robot.joints.layout if joint.link is None}
         links, columns = robot.joints.link_names, [parameter.name for parameter in self.columns]
@@ -63,14 +63,14 @@ class ByLink:
         return type(self)(names, links)
 
     def _places(self, link: int) -> dict[str, int]:
-        """Return the place among the parameters of each column of a link, but of those that are zero."""
+        """Return the index among the parameters of each column of a link, without missing ones."""
         places = {parameter.name: place for place, parameter in enumerate(self.parameters)}
         name = next((name for name, number in self._links.items() if number == link), "")
         found = {column.name: places.get(f"{name}.{column.name}", places.get(column.name)) for column in self.columns}
         return {column: place for column, place in found.items() if place is not None}
 
     def has(self, link: int, *columns: str) -> bool:
-        """Return whether a link has a number in one of some columns."""
+        """Return whether a link has a parameter in any of some columns."""
         return not self._places(link).keys().isdisjoint(columns)
 
     def numbers(self, num_links: int, params: Tensor) -> Tensor:
@@ -80,7 +80,7 @@ class ByLink:
         return torch.nn.functional.pad(params, (0, 1))[:, torch.tensor(places, device=params.device)]
 
     def warp_numbers(self, link: int, *columns: str) -> wp.Function:
-        """Return a function from the parameters to up to three numbers of a link, ``wp.vec3``; zero where there is none."""
+        """Return a function from the parameters to up to three numbers of a link, ``wp.vec3``; missing ones are zero."""
         places, params_type = self._places(link), vector_type(len(self.parameters))
         found = [places.get(column) for column in columns] + [None] * (3 - len(columns))
         has_x, has_y, has_z = (place is not None for place in found)

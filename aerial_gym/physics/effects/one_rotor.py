@@ -1,4 +1,4 @@
-"""What effects on rotors share: which one it is, and the lags that are declared."""
+"""Common parts of effects on one rotor: its index parameter, and the declared lags."""
 
 from statistics import fmean
 
@@ -17,12 +17,12 @@ ROTOR = Parameter(
 
 
 def declared_lag(robot: RobotCfg) -> tuple[float, float]:
-    """Return the declared time constants of rise and of fall [s], the means over the rotors."""
+    """Return the declared time constants of rise and fall [s], as means over the rotors."""
     rotors = robot.rotor_types
     return fmean(rotor.time_constant_up for rotor in rotors), fmean(rotor.time_constant_down for rotor in rotors)
 
 
 def chosen_rotor(vehicle: Vehicle, motor: Tensor) -> Tensor:
-    """Return 1 at the rotor that ``motor`` (E,), counted from 1, names, and 0 elsewhere, (E, R)."""
+    """Return a mask (E, R) with 1 at the rotor of number ``motor`` (E,), counted from 1, and 0 elsewhere."""
     numbers = torch.arange(1, vehicle.num_rotors + 1, device=motor.device)
     return (numbers == motor.round().unsqueeze(1)).to(vehicle.rotor_spin.dtype)

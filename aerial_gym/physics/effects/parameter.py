@@ -6,7 +6,7 @@ from typing import Literal
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """One number of an effect."""
+    """One parameter of an effect."""
 
     name: str
     """Short name, as in robot files and verdicts."""

@@ -1,4 +1,4 @@
-"""The vehicle weighs more, or less, than declared: something rigid at its centre of mass.
+"""Payload mass: additional or missing rigid mass at the centre of mass.
 
 ``m = m_declared + dm``; the inertia about the centre of mass stays as it is.
 Source: Derived: Newton's second law.
@@ -15,7 +15,7 @@ from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.vehicle import Vehicle
 
 LEAST_SHARE = 0.7
-"""Parts that are missing leave at least this share of the declared mass."""
+"""Least mass with missing parts, as a share of the declared mass."""
 
 
 class PayloadMass(VehicleEffect):
@@ -32,7 +32,7 @@ class PayloadMass(VehicleEffect):
     rotors = ANY_ROTOR
 
     def bounds(self, robot: RobotCfg) -> list[tuple[float, float]]:
-        """Return the bounds: a vehicle was weighed, and has not lost a third of its mass."""
+        """Return the bounds, with ``LEAST_SHARE`` of the declared mass as the least."""
         (most,) = self.parameters
         return [((LEAST_SHARE - 1.0) * robot.body.mass, most.high)]
 

@@ -1,8 +1,8 @@
-"""A random force: uniform in a box along the axes of the world, drawn anew at even intervals, without memory of the last one.
+"""Random force: uniform in a box along the world axes, drawn independently at regular intervals.
 
-``F_i`` is uniform in -f_i to f_i, at the centre of mass, and held for T; what it adds to the velocity within a time t, many
-intervals, has the standard deviation ``f_i sqrt(t T / 3) / m`` on each axis. The interval begins anew at the first substep
-that ends more than half a substep behind its end; T shorter than a substep is a substep.
+``F_i`` is uniform in -f_i to f_i, at the centre of mass, and constant for T. The velocity change within a time t of many
+intervals has the standard deviation ``f_i sqrt(t T / 3) / m`` on each axis. A new interval begins at the first substep that
+ends more than half a substep after the old one's end; T is at least a substep.
 Source: Derived: the variance of a uniform draw is ``f² / 3``, and those of t / T independent impulses ``F T`` add up. As a
 disturbance it is that of github learnsyslab/lsy_drone_racing (envs/race_core.py): 0.1 N, 500 times a second.
 """
@@ -21,7 +21,7 @@ from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
 from aerial_gym.physics.effects.parameter import Parameter
 
 QUANTITY = wp.constant(1)
-"""Tells its draws from those of ``gusts`` in the same substep."""
+"""Index that separates its draws from those of ``gusts`` in the same substep."""
 
 
 class RandomForce(WrenchEffect):
@@ -75,7 +75,7 @@ class RandomForce(WrenchEffect):
         return next_force
 
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
-        """Return the remembered force in body axes, without torque, (E, 6)."""
+        """Return the force in memory in body axes, without torque, (E, 6)."""
         force = quat_rotate_inverse(condition.attitude, params[:, 4:])
         return torch.cat((force, torch.zeros_like(force)), dim=-1)
 

@@ -1,4 +1,4 @@
-"""The rotors' own inertia: speeding one up turns the body the other way, and turning the body tilts a spinning one.
+"""Rotor inertia: reaction torque of rotor acceleration on the body, and gyroscopic torque of spinning rotors.
 
 With the momentum ``h = jr sum s w a`` of rotors of spin s, speed w and axis a, the body feels ``tau = -h' - w_body x h``.
 Source: Derived: balance of angular momentum in a turning frame; e.g. Bouabdallah (2007), Design and control of quadrotors
@@ -30,7 +30,7 @@ class RotorInertia(LinearWrenchEffect):
 
     def regressor(self, condition: Condition) -> Tensor:
         """Return (E, 6, 1)."""
-        spin = condition.vehicle.rotor_spin[: condition.axis.shape[0]]  # shared wherever the axes are
+        spin = condition.vehicle.rotor_spin[: condition.axis.shape[0]]  # shared if the axes are
         momentum, change = (
             sum_slices((spin * speed).unsqueeze(-1) * condition.axis, 1)
             for speed in (condition.rotor_speed, condition.rotor_acc)

@@ -1,6 +1,6 @@
-"""The log's rotor speeds are off by a factor: a wrong number of magnet poles or marks, or a wrong unit.
+"""Rotor speed scale: a factor on logged rotor speeds, from a wrong number of magnet poles or marks, or a wrong unit.
 
-``w_measured = k w``; the vehicle itself flies as before.
+``w_measured = k w``; the flight itself is unchanged.
 Source: Derived: a tachometer counts k times as many events per turn as assumed.
 """
 

@@ -1,4 +1,4 @@
-"""A point mass that swings below the body origin on a massless rigid link.
+"""Slung payload: a point mass that swings below the body origin on a massless rigid link.
 
 With the unit vector n from the origin to the mass m at the distance l, the acceleration a of the origin, and the damping c of
 the swing, a force ``-c l n'`` on the mass by its velocity ``l n'`` relative to the origin, across the link::
@@ -7,11 +7,11 @@ the swing, a force ``-c l n'`` on the mass by its velocity ``l n'`` relative to 
     F = T n + c l n'                                force on the origin: of the link, and the reaction of the damping
     n'' = (1 - n n^T) (g - a) / l - c / m n' - n'² n
 
-a itself depends on F, by the mobility A of the origin: ``a = a_0 + A F``; both equations are linear in T, so that the
-coupled accelerations are exact. Small swings below a fixed origin fade by ``exp(-c t / 2 m)``. The air does not touch the mass:
-in steady flight it hangs straight along the apparent gravity. The link also pushes (T < 0), like a rod. Neither ground nor
-obstacles touch the mass, and the impulse of a contact does not reach it. There is no singular direction: n and n' are vectors,
-put back to ``|n| = 1``, ``n . n' = 0`` after each step.
+a itself depends on F, by the mobility A of the origin: ``a = a_0 + A F``; both equations are linear in T, so the coupled
+accelerations are exact. Small swings below a fixed origin decay by ``exp(-c t / 2 m)``. The mass has no drag: in steady flight
+it hangs along the apparent gravity. The link also pushes (T < 0), like a rod. The mass has no contact with ground or
+obstacles, and contact impulses do not reach it. No direction is singular: n and n' are vectors, normalised to ``|n| = 1``,
+``n . n' = 0`` after each step.
 Source: Lee, Sreenath, Kumar (2013), Geometric control of cooperating multiple quadrotor UAVs with a suspended payload, eq. 1-4,
 for one vehicle, with a damping and a suspension beside the centre of mass added; derived from Newton's law for both bodies.
 """
@@ -28,16 +28,16 @@ from aerial_gym.physics.effects.kinds.load import LoadEffect, Suspension
 from aerial_gym.physics.effects.parameter import Parameter
 
 FITTED_LENGTHS = (0.3, 0.5, 0.8, 1.3, 2.1)
-"""Links [m] from which fits are tried; frequencies a factor of 1.3 apart."""
+"""Initial lengths of links in fits [m]; their frequencies differ by a factor of 1.3."""
 
 LIGHTEST = 1e-3
-"""Of the mass of the vehicle: the lightest payload that a fit tries."""
+"""Lightest payload in fits, as a share of the vehicle's mass."""
 
 STRONGEST = 0.1
-"""Of the mass of the vehicle per second: the strongest damping that a fit tries [1/s]."""
+"""Strongest damping in fits, per mass of the vehicle [1/s]."""
 
 LEAST_MASS = 1e-6
-"""A lighter mass [kg] swings like this one; it pulls by what it weighs itself."""
+"""Least mass in the equation of the swing [kg]; a lighter payload still pulls by its own weight."""
 
 
 class SlungPayload(LoadEffect):
@@ -66,16 +66,16 @@ class SlungPayload(LoadEffect):
         return 0.0, 1.0, 0.0
 
     def starts(self, robot: RobotCfg) -> list[tuple[float, ...]]:
-        """Return a twentieth of the vehicle's mass on links of several lengths, with a strong damping.
+        """Return starts with 5 % of the vehicle's mass on links of several lengths, with strong damping.
 
-        A weakly damped swing has a sharp frequency, so that a fit which starts at another one does not find it; a damping of
-        the mass per second widens it to about the distance between these lengths.
+        A weakly damped swing has a sharp frequency, which a fit from another frequency misses. A damping of the mass per second
+        widens it to about the spacing of these lengths.
         """
         mass = 0.05 * robot.body.mass
         return [(mass, length, mass) for length in FITTED_LENGTHS]
 
     def bounds(self, robot: RobotCfg) -> list[tuple[float, float]]:
-        """Return the bounds: a vehicle lifts no more than it weighs; what is a thousandth of it does not show."""
+        """Return the bounds: at most the vehicle's own mass, at least a thousandth of it."""
         mass = robot.body.mass
         return [(LIGHTEST * mass, mass), (0.1, 20.0), (0.0, STRONGEST * mass)]
 

@@ -1,7 +1,7 @@
-"""A rotor that is stuck: from a moment on it keeps the speed that it has, whatever it is told.
+"""Stuck rotor: from a given time on, one rotor keeps its speed and ignores commands.
 
-From the boundary between two substeps on that is nearest to ``time`` after the reset the rotor tends to the speed, in force
-mode the thrust, that it has there, and so keeps it. It is what a speed controller does that hears no more commands.
+From the substep boundary nearest to ``time`` after the reset, the rotor holds its present speed, in force mode its thrust, as
+a speed controller does without new commands.
 Source: lock in place, one of the failures of an actuator in Boskovic, Mehra (1999), Stable multiple model adaptive flight
 control for accommodation of a large class of control effector failures, American Control Conference.
 """
@@ -19,10 +19,10 @@ from aerial_gym.physics.vehicle import Vehicle
 
 
 class StuckRotor(CommandEffect):
-    """One rotor that keeps its speed from a moment on."""
+    """Constant speed of one rotor from a given time on."""
 
     name = "stuck_rotor"
-    summary = "from a moment on one rotor keeps the speed that it has"
+    summary = "from a given time on one rotor keeps its speed"
     parameters = (
         ROTOR,
         TIME,
@@ -35,19 +35,19 @@ class StuckRotor(CommandEffect):
     random = True
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return a moment that no episode lives to see."""
+        """Return a start time beyond every episode."""
         del robot
         return 1.0, NEVER
 
     def remember(self, moment: Moment, values: Tensor) -> Tensor:
-        """Return whether it is stuck in this substep, and at which speed, (E, 2)."""
+        """Return the flag of a stuck rotor in this substep, and its speed, (E, 2)."""
         stuck = middle_of(moment, values) >= values[:, 1]
         now = (chosen_rotor(moment.vehicle, values[:, 0]) * moment.rotor_speed).sum(-1)
         kept = torch.where(values[:, 2] > 0.0, values[:, 3], now)
         return torch.stack((stuck.to(values.dtype), torch.where(stuck, kept, 0.0)), dim=-1)
 
     def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:
-        """Return the commands with the kept speed in the place of one."""
+        """Return the commands with that of the stuck rotor replaced by its speed."""
         kept = chosen_rotor(vehicle, params[:, 0]) * params[:, 2:3] > 0.0
         return torch.where(kept, params[:, 3:], command)
 

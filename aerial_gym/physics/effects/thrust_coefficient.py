@@ -1,4 +1,4 @@
-"""All rotors give a fixed multiple of the declared thrust and drag torque: air density, other propellers, wear.
+"""Thrust coefficient: one factor on thrust and drag torque of all rotors, from air density, propellers or wear.
 
 ``T = k T_declared`` and ``q = k q_declared`` at every speed: both are proportional to the density of the air.
 Source: Leishman (2006), Principles of Helicopter Aerodynamics, section 2.2.5: thrust and torque coefficient.

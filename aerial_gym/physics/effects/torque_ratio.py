@@ -1,6 +1,6 @@
-"""The drag torque of all rotors is another share of their thrust than declared.
+"""Torque ratio: one factor on the drag torque of all rotors, at unchanged thrust.
 
-``q = k q_declared`` at every speed; thrust stays as it is.
+``q = k q_declared`` at every speed.
 Source: Leishman (2006), Principles of Helicopter Aerodynamics, section 2.2.5: torque coefficient.
 """
 

@@ -1,4 +1,4 @@
-"""What drives the memory of an effect along a measured flight. Letters: T rows, R rotors."""
+"""Inputs of an effect's memory along a measured flight. Letters: T rows, R rotors."""
 
 from dataclasses import dataclass
 
@@ -33,10 +33,10 @@ class Track:
 
 
 def relax(rest: Array, start: Array, *, tau: float, step: float) -> Array:
-    """Return the course of elements whose places of rest are given every ``step`` [s], both (T, any).
+    """Return the response of first-order elements to steady states given every ``step`` [s], both (T, any).
 
     ``h_n+1 = a h_n + b0 r_n + b1 r_n+1`` with ``x = step / tau``, ``a = exp(-x)``, ``b1 = 1 - (1 - a) / x``,
-    ``b0 = 1 - a - b1``: exact where r runs in straight lines between the rows. ``start`` is h in the first row, (any,).
+    ``b0 = 1 - a - b1``: exact for r linear between the rows. ``start`` is h in the first row, (any,).
 
     Source:
         Derived: ``tau h' = r - h`` with a linear r, integrated over a step.

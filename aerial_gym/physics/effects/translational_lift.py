@@ -1,6 +1,6 @@
-"""Thrust grows in sideways flow: a rotor that moves sideways breathes air that it has not yet accelerated.
+"""Translational lift: thrust grows in sideways flow, because a rotor then meets undisturbed air.
 
-``dT = kt |v_e|²`` for a rotor whose hub moves with v_e in its own plane through the air.
+``dT = kt |v_e|²`` for a rotor whose hub moves at v_e in its own plane through the air.
 Source: Svacha, Mohta, Kumar (2017), Improving quadrotor trajectory tracking by compensating for aerodynamic effects, eq. 6;
 Leishman (2006), Principles of Helicopter Aerodynamics, section 2.14.2 (Glauert's formula, expanded at low speed).
 """

@@ -1,17 +1,16 @@
-"""A rotor that sinks into its own wake loses thrust: the vortex ring state.
+"""Vortex ring state: a rotor that descends into its own wake loses thrust.
 
 ``dT = -k T (p(x) - 1) s(y)`` for a rotor of thrust T whose hub moves through the air with ``v_a = x v_h`` along the thrust and
 ``v_e = y v_h`` across it; ``v_h = sqrt(|T| / (2 rho pi R²))``. p(x) is the measured mean induced velocity of a descent, and the
-loss follows what it has in excess of hover: zero in hover and in climb, most at x = -1.45, where p = 2.09, zero again from
-x = -2.0055 on, where p has come back to 1 and the rotor is in the windmill brake state. ``s = (1 - y²)²`` below y = 1, else 0:
-sideways flow carries the ring away; that it is gone at one induced velocity is our choice, near measured boundaries.
+loss follows its excess over hover: zero in hover and in climb, largest at x = -1.45 with p = 2.09, and zero again below
+x = -2.0055, where p is back at 1 in the windmill brake state. ``s = (1 - y²)²`` below y = 1, else 0, because sideways flow
+carries the ring away; the limit of one induced velocity is our choice, near measured boundaries.
 
-k is the loss per excess, and is to be measured: of a blade that has ``axial_inflow`` beside it, which gives what the air from
-below adds, it is at most ``sigma a / (8 lambda_h)`` for solidity sigma, lift slope a and inflow lambda_h in hover; of a thrust
-map alone it is what both come to. ``blade_element`` holds p(x) itself: it needs no ``vortex_ring`` beside it.
-The flow shakes as well; that is left out.
+k is the loss per excess, from measurements. With ``axial_inflow``, which adds the thrust of air from below, it is at most
+``sigma a / (8 lambda_h)`` for solidity sigma, lift slope a and inflow lambda_h in hover; with a thrust map alone it is the net
+of both. ``blade_element`` includes p(x) and needs no ``vortex_ring``. Fluctuations of the flow are neglected.
 Source: Leishman (2006), Principles of Helicopter Aerodynamics, section 2.13 (the fit); Shetty, Selig (2011),
-Small-scale propellers operating in the vortex ring state, AIAA 2011-1254 (that propellers of this size lose thrust so); Johnson
+Small-scale propellers operating in the vortex ring state, AIAA 2011-1254 (loss of thrust of small propellers); Johnson
 (2005), Model for vortex ring state influence on rotorcraft flight dynamics, NASA/TP-2005-213477 (that sideways flow ends it).
 """
 
@@ -32,10 +31,10 @@ from aerial_gym.physics.effects.kinds.rotor import RotorEffect
 from aerial_gym.physics.effects.parameter import Parameter
 
 LEAST_SQUARE = wp.constant(1e-6)
-"""Added to the square of the induced velocity [m²/s²]: a rotor without thrust has no wake, and a slope there."""
+"""Term added to the square of the induced velocity [m²/s²], which keeps the slope finite without thrust."""
 
 LEAST = wp.constant(-8.0)
-"""Descents faster than this many induced velocities are no different."""
+"""Fastest descent in the formula, in induced velocities."""
 
 
 class VortexRing(RotorEffect):

@@ -1,4 +1,4 @@
-"""One rotor gives less, or more, than the others at the same speed: a chipped or wrong propeller.
+"""Weak motor: one rotor gives less, or more, thrust than declared at the same speed, as with a chipped or wrong propeller.
 
 ``T = k T_declared`` and ``q = k q_declared`` for that rotor: a blade that has lost area loses lift and drag with it.
 Source: Leishman (2006), Principles of Helicopter Aerodynamics, section 2.2.5: both coefficients grow with the blade area.

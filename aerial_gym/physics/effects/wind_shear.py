@@ -1,4 +1,4 @@
-"""A steady wind that grows with height, as over open land.
+"""Wind shear: a steady wind that grows with height, as over open land.
 
 ``wind(h) = (x, y, 0) (h / z_ref)^exponent`` with the height h of the centre of mass over world z = 0; none below it.
 Source: Stull (1988), An Introduction to Boundary Layer Meteorology, section 9.7.5 (power law); 1/7 is usual.
