@@ -174,7 +174,7 @@ class TensorDict(MutableMapping[str, Any]):
             return self._own[name]
         key = KEYS.get(name)
         if key is not None and key.ours == "-":
-            raise UnknownNameError(f"tensor key {name!r}: nothing stands in its place here: {key.remark}")
+            raise UnknownNameError(f"tensor key {name!r}: has no counterpart here: {key.remark}")
         try:
             return self._env.gtd[name] if key is None or key.read is None else key.read(self._env)
         except UnknownNameError:

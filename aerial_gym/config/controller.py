@@ -12,7 +12,7 @@ from aerial_gym.config.checks import Vec3, require_finite, require_not_negative,
 from aerial_gym.errors import ConfigError
 
 _DRAWN_BY_NAME = (
-    "gains have no ranges of their own: give each gain as one number per axis (position: [2.5, 2.5, 1.5]) and what is drawn by "
+    "gains have no ranges of their own: give each gain as one number per axis (position: [2.5, 2.5, 1.5]) and random gains by "
     "name, randomize: {gains.position: {how: value, low: [2.0, 2.0, 1.0], high: [3.0, 3.0, 2.0]}} (docs/guides/randomise.md)"
 )
 

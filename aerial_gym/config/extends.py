@@ -54,7 +54,7 @@ def _base_of(path: Path, name: object, family: str) -> Path:
     hint = did_you_mean(name, known)
     raise ConfigError(
         f"{path}: extends = {shown(name)}: no file of that name comes with the package.{hint} Known: {', '.join(known)}; "
-        "a file of your own is told by its path, which ends in .yaml"
+        "give a file of your own by its path, which ends in .yaml"
     )
 
 

@@ -156,7 +156,7 @@ IMAGES: dict[str, Image] = {
     "segmentation": Image(
         key="segmentation_pixels",
         wanted=lambda cfg: cfg.segmentation,
-        meaning=f"semantic id of what the pixel sees; nothing {MISS_ID}",
+        meaning=f"segmentation id; {MISS_ID} without a hit",
         ids=True,
         nothing=MISS_ID,
     ),
@@ -165,14 +165,14 @@ IMAGES: dict[str, Image] = {
         wanted=lambda cfg: cfg.points is not None,
         unit="m",
         frame=lambda cfg: cfg.points or "-",
-        meaning="what the pixel sees; the sensor's own origin without a valid distance",
+        meaning="point of the hit; the sensor's own origin without a valid distance",
         components=3,
     ),
     "normals": Image(
         key="normal_pixels",
         wanted=lambda cfg: cfg.normals is not None,
         frame=lambda cfg: cfg.normals or "-",
-        meaning="unit normal of the surface, towards the sensor; 0 for nothing",
+        meaning="unit normal of the surface, towards the sensor; 0 without a hit",
         components=3,
         nothing=(0.0, 0.0, 0.0),
     ),
@@ -180,7 +180,7 @@ IMAGES: dict[str, Image] = {
         key="face_id_pixels",
         wanted=lambda cfg: cfg.face_ids,
         meaning="triangle of a mesh; box: 2 axis + (1 for the upper side); cylinder: 0 side, 1 bottom, 2 top; "
-        f"nothing {MISS_FACE}",
+        f"{MISS_FACE} without a hit",
         ids=True,
         nothing=MISS_FACE,
     ),
@@ -188,7 +188,7 @@ IMAGES: dict[str, Image] = {
         key="disparity_pixels",
         wanted=lambda cfg: cfg.has_second_camera,
         unit="pixel",
-        meaning="by how much the second image is shifted, f |b| / z; 0 for an invalid pixel",
+        meaning="shift of the second image, f |b| / z; 0 for an invalid pixel",
         nothing=0.0,
     ),
     "color": Image(
@@ -203,7 +203,7 @@ IMAGES: dict[str, Image] = {
         wanted=lambda cfg: cfg.optical_flow,
         unit="pixel/s",
         frame="image",
-        meaning="velocity of the image of what the pixel sees, of the true hit: right, down; nothing is at infinity",
+        meaning="image velocity of the true hit: right, down; a miss counts as a point at infinity",
         components=2,
     ),
 }

@@ -50,7 +50,7 @@ def read_yaml(path: str | Path) -> dict[str, object]:
     if not isinstance(data, dict):
         raise ConfigError(f"{path}: must hold a mapping of fields, found {type(data).__name__}")
     if itself:
-        raise ConfigError(f"{path}: not valid YAML (an alias stands within what it stands for)")
+        raise ConfigError(f"{path}: not valid YAML (an alias refers to a node that contains it)")
     return data
 
 

@@ -193,7 +193,7 @@ class TaskCfg:
         if self.success_reward is not None and not self._successes:
             raise ConfigError("TaskCfg.success_reward: needs a termination of kind success")
         if self.curriculum is not None and not self._successes:
-            raise ConfigError("TaskCfg.curriculum: needs a termination of kind success, which says what a success is")
+            raise ConfigError("TaskCfg.curriculum: needs a termination of kind success, which defines it")
         radius = self.success_radius
         if radius is not None and not 0.0 < radius < inf:
             raise ConfigError(f"TaskCfg.terminations: radius = {radius!r}: must be > 0 and finite")

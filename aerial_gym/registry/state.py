@@ -47,11 +47,11 @@ def check_state(state: Mapping[str, Tensor], own: Mapping[str, Tensor]) -> None:
     for name, tensor in own.items():
         if name.startswith(IDENTITY) and name in state and not torch.equal(state[name].cpu(), tensor.cpu()):
             raise ConfigError(
-                f"state: is of another {name.removeprefix(IDENTITY)}. Build the simulation with what it was saved from"
+                f"state: is of another {name.removeprefix(IDENTITY)}. Build the simulation with the one of the state"
             )
     unknown, missing = sorted(state.keys() - own.keys()), sorted(own.keys() - state.keys())
     if unknown or missing:
-        what = f"has {unknown[0]!r}, which is not here" if unknown else f"lacks {missing[0]!r}"
+        what = f"has {unknown[0]!r}, unknown here" if unknown else f"lacks {missing[0]!r}"
         raise ConfigError(f"state: {what}; it is of another simulation, or of another version")
     for name, tensor in own.items():
         given = state[name]

@@ -224,5 +224,5 @@ class DistillCfg(LearnerCfg):
         require_count(self, "num_minibatches", "num_epochs")
         if self.separate_value_network:
             raise ConfigError(
-                "DistillCfg.separate_value_network = True: nothing values what a student does. Leave it out"
+                "DistillCfg.separate_value_network = True: distillation has no value network. Leave it out"
             )

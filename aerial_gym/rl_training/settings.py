@@ -142,7 +142,7 @@ class TrainingCfg:
             )
         if self.initial is not None and not trainer.takes_initial:
             raise ConfigError(
-                f"TrainingCfg.initial = {self.initial}: trainer {self.trainer} begins anew. "
+                f"TrainingCfg.initial = {self.initial}: trainer {self.trainer} takes no initial networks. "
                 f"Use {trainer_names('takes_initial')}"
             )
         learner = self.learner

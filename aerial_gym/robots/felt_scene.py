@@ -42,7 +42,7 @@ def declare_felt_scene(
     if any("other_position" in effect.needs for effect, _ in effects):
         other = gtd.declare(TensorSpec(
             key="downwash_position", shape=("E", 3), unit="m", frame="world", owner="robot",
-            meaning="vehicle whose wake streams down",
+            meaning="position of another vehicle, source of downwash",
         ))  # fmt: skip
         other[:, 2] = inf
     near = [effect.name for effect, _ in effects if isinstance(effect, RotorEffect) and "position" in effect.needs]

@@ -216,7 +216,7 @@ class RobotManager:
         names = ", ".join(f"{each.name} ({each.cfg.how})" for each in randomized.drawn)
         self._values = self._gtd.declare(TensorSpec(
             key="drawn_parameters", shape=("E", randomized.width), unit="see draws()", frame="-", owner="robot",
-            meaning=f"what the episode has drawn: {names}",
+            meaning=f"draws of the episode: {names}",
         ))  # fmt: skip
         randomized.neutral(self._values)
         return randomized

@@ -146,7 +146,7 @@ def check_gradients(
             if name is not None:
                 raise CapabilityError(
                     f"{term.label}: reads {name}, which has no gradient, and differentiable=True asks for one. Leave the term "
-                    "out, or write it on what env.traced shows"
+                    "out, or compute it from env.traced"
                 )
 
 

@@ -48,8 +48,8 @@ def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) ->
     rotors_told = all(name.startswith(("speed", "thrust")) for name in command[: robot.num_rotors])
     if len(command) > robot.num_rotors and rotors_told:
         raise ConfigError(
-            f"action {ROTOR_RANGE}: it tells rotors alone, and this robot is told {', '.join(command[robot.num_rotors :])} of "
-            "its driven joints as well. Choose a task that tells them, as position_setpoint_task_reconfigurable does"
+            f"action {ROTOR_RANGE}: commands rotors alone; this robot also takes {', '.join(command[robot.num_rotors :])} of "
+            "its driven joints. Choose a task with these, such as position_setpoint_task_reconfigurable"
         )
     ranges: list[tuple[float, float]] = []
     for name, rotor in zip(command, robot.rotor_types, strict=False):

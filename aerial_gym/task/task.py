@@ -348,7 +348,7 @@ class Task:
     @property
     def target_position(self) -> Tensor:
         """Target position [m], world, (E, 3)."""
-        return self.values.find(TARGET, "whoever asks for the target")
+        return self.values.find(TARGET, "the caller")
 
     @property
     def episode_return(self) -> Tensor:

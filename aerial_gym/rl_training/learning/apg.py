@@ -245,8 +245,8 @@ def check_differentiable(task: Task, cfg: TrainingCfg) -> None:
     apg, bends = cfg.section(ApgCfg), task.env.robot_manager.articulation is not None
     if bends and apg.capture and task.device.type == "cuda":
         raise CapabilityError(
-            f"trainer apg: task {cfg.task} flies a robot with joints, whose links are placed by numbers of the host, which no "
-            "CUDA graph takes. Give capture: false, or train with ppo"
+            f"trainer apg: task {cfg.task} flies a robot with joints, whose link poses need host data, which a CUDA "
+            "graph cannot contain. Give capture: false, or train with ppo"
         )
 
 

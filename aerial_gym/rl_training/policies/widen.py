@@ -53,7 +53,7 @@ def _widened(name: str, given: Tensor, own: Tensor, where: str) -> Tensor:
     grows = name.endswith((FIRST_LAYER, *NORMALISED)) and given.shape[:-1] == own.shape[:-1] and more > 0
     if not grows:
         raise ConfigError(
-            f"{where}: {name} has shape {tuple(given.shape)}, here {tuple(own.shape)}. Only what they see may grow: give "
+            f"{where}: {name} has shape {tuple(given.shape)}, here {tuple(own.shape)}. Only inputs may be added: give "
             "the settings of its training (--config), and a task with its actions whose observations begin with its own"
         )
     new = given.new_full((*given.shape[:-1], more), 1.0 if name.endswith(".var") else 0.0)

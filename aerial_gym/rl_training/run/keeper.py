@@ -106,8 +106,8 @@ class Keeper:
         others, ranks = payload.get("others", []), self._ranks
         if len(others) + 1 != ranks.size and ranks.leads:
             _log.warning(
-                "%s: of %d processes, and goes on with %d: what was learned goes on in all of them; simulations go on in the "
-                "processes that there were, and begin anew in others", path, len(others) + 1, ranks.size
+                "%s: of %d processes, continues with %d: all have the learned networks; simulations continue in the former "
+                "processes and restart in others", path, len(others) + 1, ranks.size
             )  # fmt: skip
         if ranks.leads:
             return payload

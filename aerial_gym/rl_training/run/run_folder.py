@@ -149,7 +149,7 @@ class RunFolder:
         except StorageError as error:
             known = self.checkpoints()
             left = (
-                f"The last checkpoint is {known[-1]}; --resume goes on from it" if known else "There is no checkpoint"
+                f"The last checkpoint is {known[-1]}; --resume continues from it" if known else "There is no checkpoint"
             )
             raise StorageError(f"{error}. {left}") from None
         for old in sorted(self.checkpoint_folder.glob("checkpoint_*.pth"))[:-KEPT_CHECKPOINTS]:

@@ -86,8 +86,8 @@ class Actuator:
             )
         if not self.has_force:
             raise ConfigError(
-                f"{self.at}: gives a torque and no force, so that it stands for several rotors at once, whose places the file "
-                f"does not tell. {WAY_OUT}"
+                f"{self.at}: gives a torque and no force, so that it represents several rotors, whose positions the file "
+                f"lacks. {WAY_OUT}"
             )
 
     def _gear(self) -> tuple[np.ndarray, np.ndarray]:

@@ -101,7 +101,7 @@ class Gates(Command):
         self._half, self._loop = (0.5 * width, 0.5 * height), loop
         self._target()
         values.declare("target_direction", (2,), frame="world", meaning="way through the next gate: x and y, unit")
-        values.declare("target_orientation", (4,), frame="world", meaning="how the next gate stands, to world, xyzw")
+        values.declare("target_orientation", (4,), frame="world", meaning="orientation of the next gate to world, xyzw")
         values.declare(
             "following_position", (3,), unit="m", frame="world", meaning="centre of the gate after the next one"
         )

@@ -71,7 +71,7 @@ class TrackGates(Command):
         gates, poles = len(env.cfg.track.gates), len(env.cfg.track.poles)
         self._count = gates
         self._target()
-        values.declare("target_orientation", (4,), frame="world", meaning="how the next gate stands, to world, xyzw")
+        values.declare("target_orientation", (4,), frame="world", meaning="orientation of the next gate to world, xyzw")
         declare_gates(values)
         for name, count, what in (("gates_seen", gates, "gate"), ("poles_seen", poles, "pole")):
             values.declare(name, (count,), dtype=torch.bool, meaning=f"whether the robot has been near each {what}")

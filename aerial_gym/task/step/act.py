@@ -92,8 +92,8 @@ class Actor:
                 told = len(self.params[end])
                 if told != num_commands:
                     raise ConfigError(
-                        f"action {name}: {end} has {told} numbers, and this robot is told {num_commands}. Choose a robot that "
-                        f"is told {told}, or another {end}; transform {ROTOR_RANGE} has those of the rotors of any robot"
+                        f"action {name}: {end} has {told} numbers, but this robot takes {num_commands}. Choose a robot that "
+                        f"takes {told}, or another {end}; transform {ROTOR_RANGE} fits the rotors of any robot"
                     )
         try:
             shape = tuple(self.transform(given, **self.params).shape)

@@ -80,9 +80,9 @@ class Judge:
         by_difficulty = [each.difficulty_weight for _, each in rewards.values()]
         by_difficulty += [end.difficulty_value for end in ends.values() if end is not None]
         count, kinds = len(self.reward_names), len(self.end_names)
-        values.declare(SUMS, (1 + count,), meaning="return of the present episode, and the same term by term")
+        values.declare(SUMS, (1 + count,), meaning="return of the present episode, in total and by term")
         meaning = (
-            "over the episodes that ended: sum of the return term by term, how many they were, and by what they ended"
+            "over ended episodes: sums of the return by term, number of episodes, and counts by condition of the end"
         )
         self._tallies = values.declare(TALLIES, (count + 1 + kinds,), meaning=meaning)
         if any(each.when == "counts" for _, each in terminations.values()):

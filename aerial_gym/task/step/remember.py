@@ -28,4 +28,4 @@ def make_memory(command: Command, values: Values) -> NamedRows | None:
     reads = {name: values.find(name, "the command") for name in ("sim_steps", "begun", *command.reads)}
     reads |= values.read_by(*updates.values())
     writes = {name: values[name] for name in names}
-    return NamedRows(remembered, "what is remembered of a step", reads=reads, writes=writes, graph=values.graph)
+    return NamedRows(remembered, "the buffers for the next step", reads=reads, writes=writes, graph=values.graph)

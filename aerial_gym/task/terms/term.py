@@ -102,9 +102,7 @@ def checked(function: Callable[..., object], params: Mapping[str, object], label
 def _arguments(function: Callable[..., object]) -> Iterator[tuple[str, Parameter]]:
     for name, each in signature(function).parameters.items():
         if each.kind in (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD):
-            raise ConfigError(
-                f"term {name!r}: *{name} says neither what it reads nor which numbers it takes. Name them"
-            )
+            raise ConfigError(f"term {name!r}: *{name} hides inputs and parameters. Name each of them")
         yield name, each
 
 

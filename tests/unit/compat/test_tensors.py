@@ -61,7 +61,7 @@ def test_every_key_is_there_or_says_what_to_do(env: EnvManager, name: str) -> No
             tensors[name]
     else:
         assert KEYS[name].remark
-        with pytest.raises(KeyError, match="nothing stands in its place here: "):
+        with pytest.raises(KeyError, match="has no counterpart here: "):
             tensors[name]
         assert tensors.get(name, "default") == "default"
 

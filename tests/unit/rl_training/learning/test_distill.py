@@ -143,5 +143,5 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
     ppo = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu"))
     with pytest.raises(ConfigError, match="trainer ppo has none. Use distill"):
         replace(ppo, teacher="runs/hover")
-    with pytest.raises(ConfigError, match="nothing values what a student does"):
+    with pytest.raises(ConfigError, match="distillation has no value network"):
         settings(separate_value_network=True)

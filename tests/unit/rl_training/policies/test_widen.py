@@ -56,7 +56,7 @@ def test_what_cannot_begin_so_is_refused() -> None:
     given = network(5).state_dict()
     with pytest.raises(ConfigError, match=r"run: actor.body.layers.0.weight has shape \(8, 5\), here \(7, 9\)"):
         begin_as(network(9, hidden=(7, 6)), given, where="run")
-    with pytest.raises(ConfigError, match="Only what they see may grow"):
+    with pytest.raises(ConfigError, match="Only inputs may be added"):
         begin_as(network(4), given, where="run")
     with pytest.raises(ConfigError, match="actor.log_std"):
         begin_as(network(5, actions=3), given, where="run")
@@ -99,7 +99,7 @@ def test_a_training_begins_where_another_one_ended(tmp_path: Path) -> None:
 
 def test_other_trainers_and_missing_runs_are_refused(tmp_path: Path) -> None:
     apg = load_settings(settings_for("apg", "position_setpoint_task", device="cpu"))
-    with pytest.raises(ConfigError, match="trainer apg begins anew. Use ppo"):
+    with pytest.raises(ConfigError, match="trainer apg takes no initial networks. Use ppo"):
         replace(apg, initial="runs/first")
     with pytest.raises(ConfigError):
         train(replace(settings(), initial=str(tmp_path / "none")), tmp_path / "run", show_progress=False)

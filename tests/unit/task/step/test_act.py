@@ -73,7 +73,7 @@ def test_noise_of_a_command_is_white_and_of_its_deviation() -> None:
 @pytest.mark.parametrize(
     ("transform", "low", "message"),
     [
-        ("affine", (0.0,) * 3, "action affine: low has 3 numbers, and this robot is told 4. Choose a robot"),
+        ("affine", (0.0,) * 3, "action affine: low has 3 numbers, but this robot takes 4. Choose a robot"),
         ("tenth", (), "action tenth: cannot be computed .IndexError"),
         ("half", (), r"action half: returns \(1, 2\) for actions \(1, 4\); the controller takes \(E, U\) = \(1, 4\)"),
     ],

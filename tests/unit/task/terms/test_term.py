@@ -41,7 +41,7 @@ def test_numbers_that_do_not_fit_are_told(params: dict[str, object], message: st
 
 def test_a_signature_that_does_not_say_is_refused() -> None:
     registry = TermRegistry("term")
-    with pytest.raises(ConfigError, match="says neither what it reads nor which numbers it takes"):
+    with pytest.raises(ConfigError, match="hides inputs and parameters"):
         registry.term()(lambda *tensors: tensors[0])
     registry.term()(stretched)
     with pytest.raises(DuplicateNameError, match="term 'stretched' is registered already"):
