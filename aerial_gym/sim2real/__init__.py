@@ -1,4 +1,4 @@
-"""Flight logs against the simulator: residuals, the effect that explains them, and the corrected robot."""
+"""Comparison of flight logs with the simulator: residuals, their causes, and a corrected robot."""
 
 from aerial_gym.sim2real.close_loop import close_loop
 from aerial_gym.sim2real.in_memory import judge_flights

@@ -1,4 +1,4 @@
-"""Names for the types of arrays; shapes and units are said where an array is used."""
+"""Type aliases of arrays; shapes and units are stated where an array is used."""
 
 import numpy as np
 from numpy.typing import NDArray

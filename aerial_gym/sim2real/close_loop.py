@@ -1,4 +1,4 @@
-"""The closed loop: flights against the declared model, a named cause for what differs, a corrected robot file."""
+"""Closed loop from flights to a corrected robot file, with a named cause of each difference."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -46,28 +46,28 @@ def close_loop(
     ranges: bool = False,
     progress: Progress = silent,
 ) -> Verdict:
-    """Find what the declared robot lacks, and write verdict.json, robot.yaml, report.html, report.md and tables.
+    """Identify errors of the declared robot, and write verdict.json, robot.yaml, report.html, report.md and tables.
 
     Args:
         robot: Registered robot, or a robot file.
-        train: Logs to fit on.
-        test: Logs to judge on; no fit sees them. All logs are read at the start, for joints once more.
-        out_dir: Folder of the results; it appears when all is done, and not at all if something fails.
+        train: Logs of the training flights.
+        test: Logs of the test flights, which no fit uses. Logs are read once at the start, for joints once more.
+        out_dir: Output folder, written only if the run succeeds.
         mapping: Name or file of a log mapping; None for logs of this package's layout.
-        bandwidth: Residuals are compared below it [Hz].
-        seed: Of the bootstrap.
-        criteria: When what is found counts.
-        tolerances: How well the robot is declared.
-        effects: Those that are looked for; None: all that there are.
-        failures: Whether each flight is looked through for what fails in it, and compared up to there.
-        joints: Whether the springs of the robot's joints are fitted to the training flights as well (``find_joints``).
-        learn_residual: Whether a small network may be added for what no named effect explains. The verdict stays as it is.
-        ranges: Whether robot.yaml also draws what was found from its intervals at every reset (``randomize:``).
-        progress: Told what is being done.
+        bandwidth: Bandwidth of the comparison [Hz].
+        seed: Seed of the bootstrap.
+        criteria: Acceptance criteria of effects.
+        tolerances: Standard deviations of the declared values.
+        effects: Candidate effects; None: all.
+        failures: Whether to search each flight for failures and compare it only up to the first one.
+        joints: Whether to fit the joint springs to the training flights as well (``find_joints``).
+        learn_residual: Whether a small network may be added for the unexplained residual. It does not change the verdict.
+        ranges: Whether robot.yaml also draws identified parameters from their uncertainty at every reset (``randomize:``).
+        progress: Called with each stage and the completed share.
 
     Raises:
-        DataError: If a file is not there, or no log that can be used is left to train or to test on.
-        ConfigError, UnknownNameError: If robot or mapping cannot.
+        DataError: If a file is missing, or no usable training or test log is left.
+        ConfigError, UnknownNameError: If robot or mapping is invalid or unknown.
     """
     check_out_dir(Path(out_dir))
     declared = robot_by_name(robot)
@@ -126,7 +126,7 @@ def close_loop(
 
 
 def _found_joints(robot: RobotCfg, inputs: Inputs, progress: Progress) -> "FoundJoints":
-    """Return what the training flights say of the joints."""
+    """Return the joint parameters fitted to the training flights."""
     from aerial_gym.sim2real.teststand.joints.flights import BANDWIDTH_HZ, OF_RATE, find_joints
 
     used, rate = [Path(flight.path) for flight in inputs.train], min(flight.rate for flight in inputs.train)

@@ -1,4 +1,4 @@
-"""The loop for flights in memory, stage by stage."""
+"""Closed loop for flights in memory, stage by stage."""
 
 from collections.abc import Sequence
 
@@ -32,12 +32,12 @@ def judge_flights(
     learn_residual: bool = False,
     progress: Progress = silent,
 ) -> Judged:
-    """Return what flights in memory say, stage by stage; arguments as for ``close_loop``.
+    """Return the result of the closed loop for flights in memory; arguments as for ``close_loop``.
 
-    With ``failures``, a flight in which something fails is compared up to there; without, a note says what looks like one.
+    With ``failures``, flights are compared up to their first failure. Otherwise a note reports suspected failures.
 
     Raises:
-        DataError: If failures leave no flight to train or to test on.
+        DataError: If failures leave no training or no test flight.
     """
     if learn_residual:
         check_rotors(LearnedResidual, robot.rotor_traits)
@@ -55,7 +55,7 @@ def judge_flights(
 
 
 def _left_of(role: str, flights: Sequence[Flight], failures: Sequence[Failure]) -> list[Flight]:
-    """Return flights up to their failures; refuse to go on with none."""
+    """Return the flights up to their failures; raise ``DataError`` if none is left."""
     left = until_failure(flights, failures)
     if flights and not left:
         first = next(failure for failure in failures if failure.flight in {flight.name for flight in flights})

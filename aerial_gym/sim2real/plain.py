@@ -1,4 +1,4 @@
-"""Findings as JSON has them."""
+"""Conversion of results to JSON."""
 
 import json
 from collections.abc import Mapping
@@ -8,7 +8,7 @@ import numpy as np
 
 
 def plain(value: object) -> object:
-    """Return a value as JSON has it, through all levels: what has a mapping of its own by that, arrays and tuples as lists."""
+    """Return a JSON value, recursively: ``as_mapping`` of objects, lists for arrays and tuples."""
     if hasattr(value, "as_mapping"):
         return value.as_mapping()  # type: ignore[union-attr]
     if isinstance(value, Mapping):
@@ -19,11 +19,11 @@ def plain(value: object) -> object:
 
 
 def fields_of(found: object, *names: str) -> dict[str, object]:
-    """Return some fields of a finding by their names, as JSON has them."""
+    """Return the named fields of an object as JSON values."""
     return {name: plain(getattr(found, name)) for name in names}
 
 
 def write_json(path: Path, content: Mapping[str, object]) -> None:
-    """Write a file of JSON for programs and people; numbers that are none are refused."""
+    """Write an indented JSON file; raise ``ValueError`` for numbers that are not finite."""
     text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
     path.write_text(text + "\n", encoding="utf-8", errors="surrogateescape")

@@ -1,9 +1,9 @@
-"""How a run tells what it is doing."""
+"""Progress reports of a run."""
 
 from collections.abc import Callable
 
 Progress = Callable[[str, float], None]
-"""Told what is being done and which share of the work is done."""
+"""Called with the current stage and the completed share of the work."""
 
 
 def silent(stage: str, share: float) -> None:

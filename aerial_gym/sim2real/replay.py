@@ -1,4 +1,4 @@
-"""A declared model against flights, nothing fitted: residuals, rollouts, a page with plots."""
+"""Replay of flights with a declared model, without any fit: residuals, rollouts and a page with figures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ from aerial_gym.sim2real.wording import text
 
 @dataclass(frozen=True, kw_only=True)
 class Replay:
-    """A model and how well it predicts flights."""
+    """A declared model with the errors of its predictions."""
 
     robot: RobotCfg
     flights: tuple[Flight, ...]
@@ -39,12 +39,12 @@ class Replay:
 
     @property
     def notes(self) -> list[Finding]:
-        """Notes on the vehicle, the logs and missing rollouts."""
+        """Findings on the vehicle, the logs and missing rollouts."""
         missing = missing_for_rollouts(self.flights)
         return [*rigid_notes(self.robot), *notes_of(self.flights), *([] if missing is None else [missing])]
 
     def as_mapping(self) -> dict[str, object]:
-        """Return the figures for JSON."""
+        """Return the results for JSON."""
         return {
             "flights": [flight.path for flight in self.flights],
             "bandwidth_hz": self.bandwidth,
@@ -63,21 +63,22 @@ def replay(
     seed: int = 0,
     progress: Progress = silent,
 ) -> Replay:
-    """Return how well a robot as declared predicts flights; with ``out_dir``, write replay.json, report.html,
-    residuals.csv, profiles.csv.
+    """Return the prediction errors of a declared robot on flights.
+
+    With ``out_dir``, write replay.json, report.html, residuals.csv and profiles.csv there.
 
     Args:
         robot: Registered robot, or a robot file.
-        flights: Logs.
-        out_dir: Folder of the results; it appears when all is done.
+        flights: Flight logs.
+        out_dir: Output folder, written only if the run succeeds.
         mapping: Name or file of a log mapping; None for logs of this package's layout.
-        bandwidth: Residuals are compared below it [Hz].
-        seed: Of the bootstrap.
-        progress: Told what is being done.
+        bandwidth: Bandwidth of the comparison [Hz].
+        seed: Seed of the bootstrap.
+        progress: Called with each stage and the completed share.
 
     Raises:
-        DataError: If a log cannot be used.
-        ConfigError, UnknownNameError: If robot or mapping cannot.
+        DataError: If a log is unusable.
+        ConfigError, UnknownNameError: If robot or mapping is invalid or unknown.
     """
     if not flights:
         raise DataError("needs at least one flight to replay")

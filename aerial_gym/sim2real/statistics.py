@@ -1,6 +1,6 @@
-"""Means, root mean squares and their ratios with what is known of them, from the scatter of groups of samples and of flights.
+"""Means, root mean squares and their ratios, with intervals from the scatter of groups of samples and of flights.
 
-And the distributions that say so, by ``scipy.special``: importing ``scipy.stats`` takes longer than reading a flight.
+Distributions come from ``scipy.special``, since the import of ``scipy.stats`` takes longer than reading a flight.
 Letters: S samples, G groups, B bins, C columns, P parameters.
 """
 
@@ -15,41 +15,41 @@ from aerial_gym.sim2real.arrays import Array, Indices
 RESAMPLES = 2000
 
 FALSE_ALARM_HOURS = 100.0
-"""Mean flight time between two false alarms of what looks for something in flights [h], as far as noise is as taken there."""
+"""Mean flight time between two false alarms of a detector [h], under its noise model."""
 
 
 def normal_above(value: float) -> float:
-    """Return the probability that a standard normal number is larger than a value."""
+    """Return the probability that a standard normal variable exceeds a value."""
     return float(special.ndtr(-value))
 
 
 def normal_quantile(share: float) -> float:
-    """Return below which value a standard normal number lies with a probability."""
+    """Return the quantile of the standard normal distribution."""
     return float(special.ndtri(share))
 
 
 def student_above(value: float, freedom: float) -> float:
-    """Return the probability that a number of Student's distribution is larger than a value."""
+    """Return the probability that a variable with Student's t distribution exceeds a value."""
     return float(special.stdtr(freedom, -value))
 
 
 def student_quantile(share: float, freedom: ArrayLike) -> Array:
-    """Return below which values numbers of Student's distribution lie with a probability, in the shape of ``freedom``."""
+    """Return quantiles of Student's t distribution, in the shape of ``freedom``."""
     return special.stdtrit(freedom, share)
 
 
 def chi_square_above(value: float, freedom: float) -> float:
-    """Return the probability that a sum of squares of standard normal numbers is larger than a value."""
+    """Return the probability that a chi-squared variable exceeds a value."""
     return float(special.chdtrc(freedom, np.maximum(value, 0.0)))
 
 
 def ratio_quantile(share: float, over: ArrayLike, under: ArrayLike) -> Array:
-    """Return below which values the ratio of two variances lies with a probability (Fisher's F), by their freedom."""
+    """Return quantiles of Fisher's F distribution, with the degrees of freedom of numerator and denominator."""
     return special.fdtri(over, under, share)
 
 
 def line_through(x: Array, y: Array) -> tuple[float, float, float]:
-    """Return slope and intercept of the least-squares line through points (S,), and the p-value of the slope against none."""
+    """Return slope and intercept of the least-squares line through points (S,), and the slope's p-value."""
     x_away, y_away, freedom = x - x.mean(), y - y.mean(), max(x.size - 2, 1)
     slope = float(x_away @ y_away) / float(x_away @ x_away)
     std_error = np.linalg.norm(y_away - slope * x_away) / np.sqrt(freedom * (x_away @ x_away))
@@ -59,25 +59,25 @@ def line_through(x: Array, y: Array) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class Rms:
-    """A root mean square."""
+    """A root mean square with its interval."""
 
     value: float
     low: float
-    """End of the 95 % interval."""
+    """Lower end of the 95 % interval."""
 
     high: float
-    """Other end."""
+    """Upper end."""
 
     def as_mapping(self) -> dict[str, float | list[float]]:
-        """Return it for JSON."""
+        """Return the values for JSON."""
         return {"rms": self.value, "interval": [self.low, self.high]}
 
 
 def rms_with_interval(values: Array, group: Indices, *, seed: int) -> list[Rms]:
-    """Return the rms of each column, (S, C), with its interval from a bootstrap over whole groups.
+    """Return the RMS of each column of (S, C), with its interval from a bootstrap over whole groups.
 
-    Neighbours are not independent, so that groups are drawn, not samples. Source: Davison, Hinkley (1997), Bootstrap
-    Methods and their Application, section 3.8 and 5.3 (percentiles on the scale of the logarithm).
+    Neighbouring samples are dependent, so groups are resampled. Source: Davison, Hinkley (1997), Bootstrap Methods and their
+    Application, sections 3.8 and 5.3 (percentiles on the log scale).
     """
     labels, place = np.unique(group, return_inverse=True)
     squares = np.zeros((labels.size, values.shape[1]))
@@ -93,31 +93,31 @@ def rms_with_interval(values: Array, group: Indices, *, seed: int) -> list[Rms]:
 
 @dataclass(frozen=True, kw_only=True)
 class Rise:
-    """By which share one root mean square is above another one."""
+    """Relative rise of one root mean square over another."""
 
     value: float
     low: float
-    """End of the 95 % interval."""
+    """Lower end of the 95 % interval."""
 
     high: float
-    """Other end; infinite where there is nothing to tell it from."""
+    """Upper end; infinite without enough groups."""
 
     def as_mapping(self) -> dict[str, float | list[float | None]]:
-        """Return it for JSON."""
+        """Return the values for JSON."""
         return {"rises": self.value, "interval": [self.low, self.high if np.isfinite(self.high) else None]}
 
 
 def rise_with_interval(values: Array, reference: Array, group: Indices, flight: Indices) -> list[Rise]:
     """Return ``rms(values) / rms(reference) - 1`` of each column, both (S, C), with its interval over flights.
 
-    Both are of the same samples: what makes a sample hard for both does not widen the interval. With ``a_g`` and ``b_g`` the
-    squares of a group, A and B their sums, ``L = log(A / B) / 2`` has the scatter of the scores ``(a_g / A - b_g / B) / 2``.
+    Both share their samples, so common difficulty does not widen the interval. With squares ``a_g``, ``b_g`` of a group and
+    their sums A, B, ``L = log(A / B) / 2`` has the scatter of the scores ``(a_g / A - b_g / B) / 2``.
 
     Args:
-        values: One set of errors, (S, C).
-        reference: Another one, of the same samples, (S, C).
-        group: Neighbouring samples that count as one draw, (S,).
-        flight: Of each sample, (S,).
+        values: Errors, (S, C).
+        reference: Reference errors of the same samples, (S, C).
+        group: Group of dependent samples, (S,).
+        flight: Flight of each sample, (S,).
 
     Source:
         Davison, Hinkley (1997), Bootstrap Methods and their Application, section 2.7 (nonparametric delta method).
@@ -135,7 +135,7 @@ def rise_with_interval(values: Array, reference: Array, group: Indices, flight: 
 
 
 def _scatter(score: Array, label: Indices) -> tuple[Array, int]:
-    """Return the variance of the sum of scores (S, C) that clusters show, (C,), and how many there are; infinite for one."""
+    """Return the variance of the sum of scores (S, C) between clusters, (C,), and their number; infinite for one cluster."""
     labels, place = np.unique(label, return_inverse=True)
     sums = np.zeros((labels.size, score.shape[1]))
     np.add.at(sums, place, score)
@@ -146,38 +146,39 @@ def _scatter(score: Array, label: Indices) -> tuple[Array, int]:
 
 @dataclass(frozen=True, kw_only=True)
 class BinnedMean:
-    """Means of samples that lie in the same bin."""
+    """Means of samples by bin."""
 
     count: Indices
-    """Samples of each bin, (B,)."""
+    """Number of samples in each bin, (B,)."""
 
     mean: Array
-    """(B, C); NaN of an empty bin."""
+    """(B, C); NaN for an empty bin."""
 
     std_error: Array
-    """Of the mean, (B, C); NaN where fewer than two groups share the bin."""
+    """Standard error of the mean, (B, C); NaN with fewer than two groups in the bin."""
 
     groups: Indices
-    """Groups that have samples in each bin, (B,): few of them do not know the standard error well."""
+    """Number of groups in each bin, (B,), which determines the certainty of the standard error."""
 
     @property
     def half_width(self) -> Array:
-        """Return half the 68 % interval of each mean, (B, C): a standard error, more where few groups tell of it."""
+        """Return half the 68 % interval of each mean, (B, C): the standard error, widened for few groups."""
         freedom = np.maximum(self.groups - 1, 1)[:, None]
         return student_quantile(normal_above(-1.0), freedom) * self.std_error
 
 
 def binned_mean(values: Array, place: Indices, bins: int, group: Indices) -> BinnedMean:
-    """Return the mean of each bin and its standard error from the scatter of whole groups.
+    """Return the mean of each bin, and its standard error from the scatter of whole groups.
 
-    ``sum_g (s_g - n_g m)² G / (G - 1) / n²`` with the sums ``s_g`` of ``n_g`` samples that group g of G has in the bin.
+    Its square is ``sum_g (s_g - n_g m)² G / (G - 1) / n²``, with the sum ``s_g`` of the ``n_g`` samples that group g of G
+    has in the bin.
     Source: Cochran (1977), Sampling Techniques, section 6.3 (a ratio of sums over clusters).
 
     Args:
         values: Samples, (S, C).
-        place: Bin of each, (S,).
+        place: Bin of each sample, (S,).
         bins: Number of bins B.
-        group: Neighbouring samples that count as one draw, (S,).
+        group: Group of dependent samples, (S,).
     """
     labels, own = np.unique(group, return_inverse=True)
     cell = place * labels.size + own
@@ -194,20 +195,20 @@ def binned_mean(values: Array, place: Indices, bins: int, group: Indices) -> Bin
 
 
 DOUBTFUL = 0.2
-"""Flights count as scattering more than their blocks explain if that were chance in no more than this share of cases."""
+"""Significance level at which flights count as scattering more than their blocks explain."""
 
 FEWEST_FLIGHTS = 3
-"""Of fewer, the scatter is not told."""
+"""Least number of flights for an estimate of their scatter."""
 
 
 def half_width_of_scatter(blocks: Array, num_blocks: int, flights: Array | None, num_flights: int) -> Array:
-    """Return half the 95 % interval, (P,): from the scatter of blocks, unless whole flights scatter more than these explain.
+    """Return half the 95 % interval, (P,), from the scatter of blocks, or of flights if it is significantly larger.
 
     Args:
-        blocks: Variances from the scatter of blocks of time, (P,).
-        num_blocks: How many.
-        flights: From the scatter of whole flights, (P,); None if there are too few.
-        num_flights: How many.
+        blocks: Variances from the scatter of time blocks, (P,).
+        num_blocks: Number of blocks.
+        flights: Variances from the scatter of whole flights, (P,); None with too few.
+        num_flights: Number of flights.
     """
     count = max(num_blocks - 1, 1)
     variance = student_quantile(0.975, count) ** 2 * blocks
