@@ -1,1 +1,1 @@
-"""Bench measurements: rotor maps, step responses, hover and compliant joints, each with intervals and held-out errors."""
+"""Test stand measurements: rotor maps, step responses, hover and compliant joints, with intervals and held-out errors."""

@@ -1,7 +1,7 @@
-"""Which cause the changed balance at hover tells of, against hovers of the same airframe as it is declared.
+"""Probable causes of a changed balance at hover, compared with hovers of the same airframe as declared.
 
-``effort`` is the squared speed of a rotor (or of the voltage that drives it); thrust is taken as proportional to it, with a
-factor for each rotor that the baseline gives.
+``effort`` is the squared speed of a rotor, or of the voltage that drives it. Thrust is proportional to it, with a factor per
+rotor from the baseline.
 Letters: R rotors (four), L logs.
 """
 
@@ -25,26 +25,26 @@ from aerial_gym.sim2real.teststand.scatter import Scatter, ScatterFit, fit_scatt
 from aerial_gym.sim2real.teststand.statistics import Estimate, rms
 
 SIGNIFICANCE = 0.01
-"""What remains holds the cause but for this probability; logs differ where scatter alone would part them less often."""
+"""Error probability of the set of remaining causes, and significance level for differences between logs."""
 
 SAME_HEIGHT = 0.15
-"""Windows further than this [m] from the median height are take-off, landing and moves."""
+"""Largest height difference [m] from the median; windows beyond it are take-off, landing and moves."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HoverEffort:
-    """One hover."""
+    """Mean effort of the rotors in one hover."""
 
     name: str
     effort: Array
-    """Mean squared speed of each rotor, in the unit of the log, (R,)."""
+    """Mean squared speed of each rotor, in the log's unit, (R,)."""
 
     windows: int
     voltage: float | None
     """Mean battery voltage [V]."""
 
     def as_mapping(self) -> dict[str, object]:
-        """Return it for JSON, without the effort, which the shares tell of."""
+        """Return the values for JSON, without the effort, which the shares contain."""
         return fields_of(self, "name", "windows", "voltage")
 
 
@@ -52,7 +52,7 @@ def hover_effort(log: FlightLog) -> HoverEffort:
     """Return the mean effort of each rotor while a flight hovers at one height.
 
     Raises:
-        DataError: If it has not four rotors, or does not hover long enough.
+        DataError: If the number of rotors is not four, or the hover is too short.
     """
     speed = log.rotor_speed if log.rotor_speed is not None else log.rotor_command
     if speed is None or speed.shape[1] != ROTORS:
@@ -75,7 +75,7 @@ def hover_effort(log: FlightLog) -> HoverEffort:
 
 
 def repeats_of(hovers: Sequence[HoverEffort]) -> dict[str, list[HoverEffort]]:
-    """Return hovers by condition: names that differ only in the number at the end."""
+    """Return the hovers by condition: names that differ only in a final number belong together."""
     found: dict[str, list[HoverEffort]] = {}
     for hover in hovers:
         found.setdefault(re.sub(r"\d+$", "", hover.name), []).append(hover)
@@ -84,25 +84,25 @@ def repeats_of(hovers: Sequence[HoverEffort]) -> dict[str, list[HoverEffort]]:
 
 @dataclass(frozen=True, kw_only=True)
 class CauseFit:
-    """A candidate fitted to the flights."""
+    """Fit of one candidate cause to the flights."""
 
     cause: Cause
     fit: ScatterFit
     params: dict[str, Estimate]
     probability: float = 0.0
-    """After all logs of the condition."""
+    """Posterior probability from all logs of the condition."""
 
     place: tuple[Estimate, Estimate] | None = None
-    """Of a payload with a place, x and y from the declared centre of mass [m]; None where its mass may be 0."""
+    """Position x, y of a payload relative to the declared centre of mass [m]; None if its mass may be 0."""
 
     judged: float | None = None
-    """Probability that scatter alone parts the logs left out from their prediction as much, or more; None: none left out."""
+    """P-value of the prediction errors on left-out logs; None without such logs."""
 
     held_out: float | None = None
-    """Rms over rotors of measured over predicted effort less 1, in the logs left out."""
+    """RMS over rotors of the relative error of predicted effort in left-out logs."""
 
     def as_mapping(self) -> dict[str, object]:
-        """Return it for JSON."""
+        """Return the values for JSON."""
         return {
             **fields_of(self.cause, "name", "motor"),
             **fields_of(self, "params", "place"),
@@ -122,45 +122,45 @@ class Change:
     change: Estimate
 
     def as_mapping(self) -> dict[str, object]:
-        """Return it for JSON."""
+        """Return the values for JSON."""
         return fields_of(self, "baseline", "flights", "change")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Balance:
-    """What changed at hover, and what may be behind it."""
+    """Change of the efforts at hover, and its possible causes."""
 
     verdict: str
     """explained, none, ambiguous or unexplained."""
 
     candidates: tuple[str, ...]
-    """What remains possible."""
+    """Possible causes."""
 
     tell_apart: tuple[Finding, ...]
-    """Experiments that tell the candidates apart."""
+    """Experiments that distinguish the candidates."""
 
     fits: tuple[CauseFit, ...]
-    """Empty where the scatter between logs is not known well enough for a test."""
+    """Fits of all causes; empty if there are too few repeats for a test."""
 
     baseline: tuple[HoverEffort, ...]
     flights: tuple[HoverEffort, ...]
     test: tuple[HoverEffort, ...]
     shares: tuple[Change, ...]
-    """Share of each rotor of the sum."""
+    """Share of each rotor in the total effort."""
 
     total: Change
-    """The sum of effort, in the unit of the logs; its change is relative."""
+    """Total effort in the log's unit; its change is relative."""
 
     freedom: int
-    """Repeats that the scatter is known from."""
+    """Degrees of freedom of the scatter: repeats minus conditions."""
 
     scatter: Array
-    """Standard deviation of the effort of each rotor between logs of one condition, relative, (R,)."""
+    """Relative standard deviation of each rotor's effort between logs of one condition, (R,)."""
 
     notes: tuple[Finding, ...] = ()
 
     def as_mapping(self) -> dict[str, object]:
-        """Return it for JSON."""
+        """Return the values for JSON."""
         return {
             **fields_of(self, "verdict", "candidates", "fits", "tell_apart", "shares"),
             "sum": self.total.as_mapping(),
@@ -179,22 +179,22 @@ def judge_balance(
     repeats: Sequence[HoverEffort] = (),
     added_mass: float | None = None,
 ) -> Balance:
-    """Return what the shares of the rotors say about the cause of a change.
+    """Return the probable causes of a change of the rotors' efforts at hover.
 
     Args:
-        baseline: Hovers of the airframe as it is declared.
-        flights: Hovers of the same airframe in the condition to be explained.
-        robot: Declared vehicle: places and spin of its four rotors, mass, centre of mass.
-        test: Further hovers in that condition: they count for the probabilities, and parameters of the flights are judged on
-            them; without them each of two or more flights is left out in turn.
-        repeats: Hovers under any other condition, which show how much logs of one condition (names that differ only in the
-            number at the end) scatter.
-        added_mass: Mass of the flights less that of the baseline [kg], where it was weighed: candidates are then compared at
-            that mass, and none of them is a payload.
+        baseline: Hovers of the airframe as declared.
+        flights: Hovers of the same airframe in the changed condition.
+        robot: Declared vehicle with four rotors.
+        test: Further hovers in that condition. They contribute to the probabilities and test the fits to ``flights``;
+            without them, two or more flights are left out in turn.
+        repeats: Hovers in any other conditions, for the scatter between logs of one condition, whose names differ only in
+            a final number.
+        added_mass: Measured difference of mass from the baseline [kg]. Candidates then have this mass, and none is a
+            payload.
 
     Raises:
-        DataError: If no condition has two logs, or they are copies: their scatter is then unknown.
-        ConfigError: If the robot cannot be balanced by four rotors, or the mass is impossible.
+        DataError: If no condition has two logs, or they are copies, since the scatter is then unknown.
+        ConfigError: If four rotors cannot balance the robot, or the mass is invalid.
     """
     possible = causes(robot)
     if added_mass is not None:
@@ -247,12 +247,12 @@ def judge_balance(
 
 
 def _repeated(other: CauseFit) -> bool:
-    """Return whether logs left out are as the flights were, whatever the cause."""
+    """Return whether left-out logs agree with the flights, whatever the cause."""
     return other.judged is None or other.judged >= SIGNIFICANCE
 
 
 def _fit(cause: Cause, efforts: Array, usual: Array, scatter: Scatter, count: int) -> CauseFit:
-    """Return a candidate fitted to the logarithm of efforts (L, R); residuals are relative, as the scatter is."""
+    """Return a cause fitted to log efforts (L, R), with relative residuals."""
     ratio = np.exp(efforts.mean(axis=0)) / usual
     fit = fit_scatter(1.0 - 1.0 / ratio, cause.columns / ratio[:, None], scatter, 1.0 / len(efforts) + 1.0 / count)
     place = (fit.ratio(1, 0), fit.ratio(2, 0)) if cause.name == "payload_mass + com_offset" else (None, None)
@@ -261,7 +261,7 @@ def _fit(cause: Cause, efforts: Array, usual: Array, scatter: Scatter, count: in
 
 
 def _physical(cause: Cause, fit: ScatterFit) -> dict[str, Estimate]:
-    """Return parameters with 95 % intervals to first order."""
+    """Return the physical parameters with 95 % intervals, to first order."""
     values = cause.physical(fit.params)
     steps = 1e-6 * np.eye(fit.params.size)
     slopes = [[v - values[name] for name, v in cause.physical(fit.params + step).items()] for step in steps]
@@ -278,7 +278,7 @@ def _judged(
     scatter: Scatter,
     count: int,
 ) -> CauseFit:
-    """Return the candidate with what its prediction misses in the logs that no fit has seen."""
+    """Return the fit with its prediction error on left-out logs."""
     if not test and len(flights) < 2:
         return found
     parts = (
@@ -294,13 +294,13 @@ def _judged(
         covariance = one * (1.0 / len(left_out) + 1.0 / count) + fit.spread * (1.0 / len(seen) - 1.0 / count)
         p_values.append(scatter.p_value(mean, covariance))
         errors += each
-    # Bonferroni: the smallest of as many p-values as there are parts.
+    # Bonferroni correction of the smallest p-value.
     p_value = min(1.0, len(parts) * min(p_values))
     return replace(found, judged=p_value, held_out=rms(np.array(errors)))
 
 
 def _weighed(fits: Sequence[CauseFit], groups: Sequence[Array], usual: Array) -> tuple[CauseFit, ...]:
-    """Return the candidates with their probabilities, from groups (L, R) of logs: baseline, condition, others."""
+    """Return the fits with posterior probabilities, from groups (L, R) of logs: baseline, condition, others."""
     scatter, share = pooled_scatter(groups), 1.0 / len(groups[0]) + 1.0 / len(groups[1])
     ratio = np.exp(groups[1].mean(axis=0)) / usual
     evidence = [log_evidence(1.0 - 1.0 / ratio, fit.cause.columns / ratio[:, None], scatter, share) for fit in fits]
@@ -309,10 +309,10 @@ def _weighed(fits: Sequence[CauseFit], groups: Sequence[Array], usual: Array) ->
 
 
 def _decide(fits: Sequence[CauseFit], possible: Sequence[Cause]) -> tuple[str, tuple[str, ...]]:
-    """Return the verdict and what remains possible, one name for each part.
+    """Return the verdict and the possible causes, one name per part at fault.
 
-    What remains is the smallest set of candidates that holds the cause with the probability 1 - `SIGNIFICANCE`. Nothing is
-    named while "none" is in it, or while "something else" is more probable than any one part.
+    These are the smallest set of candidates with a total probability of 1 - `SIGNIFICANCE`. No cause is named if "none" is in
+    the set, or if "something else" is more probable than every part.
     """
     if not fits:
         return "ambiguous", tuple(cause.name for cause in possible if cause is not OTHER)
@@ -335,7 +335,7 @@ def _decide(fits: Sequence[CauseFit], possible: Sequence[Cause]) -> tuple[str, t
 
 
 def _change(values: Sequence[Array], share: float) -> list[Change]:
-    """Return the change of each column between the means of the first two groups (L, columns); all groups give the scatter."""
+    """Return the change of each column from the first group (L, columns) to the second; all groups give the scatter."""
     scatter = pooled_scatter(values)
     before, after = values[0].mean(axis=0), values[1].mean(axis=0)
 

@@ -1,7 +1,7 @@
-"""What can change the balance of a hovering vehicle: a weight, a shifted centre of mass, a weak propeller.
+"""Possible causes of a changed balance at hover: added weight, a shifted centre of mass or a weak propeller.
 
-Four rotors along body z are shared out by the balance alone: weight, roll, pitch and yaw give their four thrusts. ``effort`` is
-the squared speed of a rotor; its thrust is a factor of its own times that.
+Weight, roll, pitch and yaw balance determine the thrusts of four rotors along body z. ``effort`` is the squared speed of a
+rotor; thrust is a factor per rotor times that.
 Body is x forward, y left, z up. Letters: R rotors (four), P parameters.
 """
 
@@ -16,54 +16,54 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 
 ROTORS = 4
-"""With more, the mixer shares out the thrust, and not the balance."""
+"""Required number of rotors; with more, the mixer determines the distribution of thrust."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cause:
-    """One candidate: what it does to the effort of each rotor over its baseline, ``1 + columns params``."""
+    """A candidate cause: it multiplies the baseline effort of each rotor by ``1 + columns params``."""
 
     name: str
     columns: Array = field(repr=False)
-    """(R, P)."""
+    """Linear effect of the parameters on the efforts, (R, P)."""
 
     physical: Callable[[Array], dict[str, float]] = field(repr=False)
-    """Parameters of the effects from those of the columns."""
+    """Function from fitted to physical parameters."""
 
     kind: str
-    """What a person would look for: none, weight, propeller, other."""
+    """Class of cause: none, weight, propeller or other."""
 
     motor: int | None = None
-    """Rotor concerned, from 1."""
+    """Affected rotor from 1; None: all."""
 
     @property
     def part(self) -> str:
-        """What is at fault: a propeller, whatever its drag does; else the candidate itself."""
+        """Name of the part at fault: a propeller, whatever its drag, or the candidate itself."""
         return self.name if self.motor is None else f"{self.kind} {self.motor}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """Thrusts that balance the vehicle, relative to its weight."""
+    """Thrusts in balance, relative to weight."""
 
     carried: Array
-    """Weight that each rotor carries as declared, (R,)."""
+    """Share of the weight carried by each rotor as declared, (R,)."""
 
     shift: Array
-    """Change per metre that the centre of mass moves along x and y, over ``carried``, (R, 2)."""
+    """Relative change per metre of centre-of-mass shift along x and y, (R, 2)."""
 
     twist: Array
-    """Change per sum of ``spin thrust``, over ``carried``, (R,)."""
+    """Relative change per unit of ``sum(spin thrust)``, (R,)."""
 
     spin: Array
-    """(R,)."""
+    """Spin of each rotor, (R,)."""
 
 
 def layout_of(robot: RobotCfg) -> Layout:
-    """Return how four rotors carry a declared vehicle.
+    """Return the thrusts with which four rotors balance a declared vehicle.
 
     Raises:
-        ConfigError: If the vehicle is not balanced by four rotors that thrust along body z.
+        ConfigError: If four rotors along body z cannot balance the vehicle.
     """
     mounts = robot.mounts.layout
     axes = np.array([mount.axis for mount in mounts])
@@ -86,12 +86,12 @@ def layout_of(robot: RobotCfg) -> Layout:
 
 
 def causes(robot: RobotCfg) -> list[Cause]:
-    """Return the candidates for a declared vehicle, "none" first and "something else" last.
+    """Return the candidate causes for a declared vehicle, "none" first and "something else" last.
 
     Source:
-        Derived: sums of thrust, of thrust times place about the centre of mass, and of drag torques are weight, zero and zero.
-        Where rotor j has the share s of its thrust and r times its drag torque per thrust, the sum of ``spin T`` is
-        ``(1 - r) spin_j T_j``, and its effort is ``T_j / s``.
+        Derived: total thrust, moments about the centre of mass, and drag torques equal weight, zero and zero. If rotor j
+        has the share s of its thrust, and r times its drag torque per thrust, then ``sum(spin T) = (1 - r) spin_j T_j``,
+        and its effort is ``T_j / s``.
     """
     layout, mass = layout_of(robot), robot.body.mass
     heavier = np.ones((ROTORS, 1))
@@ -121,18 +121,18 @@ def causes(robot: RobotCfg) -> list[Cause]:
 
 
 OTHER = Cause(name="something else", columns=np.eye(ROTORS), physical=lambda _: {}, kind="other")
-"""Any change at all: two causes at once, or one that is not listed."""
+"""Any other change: two causes at once, or one that is not listed."""
 
 
 def priors(possible: Sequence[Cause]) -> Array:
-    """Return the probability of each candidate before any log is seen.
+    """Return the prior probability of each candidate.
 
-    One half is for none. The other kinds share the other half equally, and the candidates of a kind share what it has.
+    "none" has one half. The other classes share the rest equally, and the candidates of a class share its part.
 
     Source:
         Jeffreys (1961), Theory of probability, section 5.0: one half for no change. Scott, Berger (2010), Bayes and
-        empirical-Bayes multiplicity adjustment in the variable-selection problem, Annals of Statistics 38: what candidates
-        share out among them accounts for how many were tried.
+        empirical-Bayes multiplicity adjustment in the variable-selection problem, Annals of Statistics 38: shared
+        probability accounts for the number of candidates.
     """
     kinds = [cause.kind for cause in possible]
     others = len(set(kinds)) - 1
@@ -140,7 +140,7 @@ def priors(possible: Sequence[Cause]) -> Array:
 
 
 def _weak(layout: Layout, rotor: int) -> list[Cause]:
-    """Return a weak propeller whose drag torque falls with its thrust, and one whose drag torque is free."""
+    """Return two weak propellers: one whose drag torque falls with its thrust, and one with free drag torque."""
     name, one = f"weak_motor {rotor + 1}", np.eye(ROTORS)[:, rotor : rotor + 1]
 
     def with_yaw(params: Array) -> dict[str, float]:
@@ -167,7 +167,7 @@ def _weak(layout: Layout, rotor: int) -> list[Cause]:
 
 
 def tell_apart(candidates: Sequence[str]) -> list[Finding]:
-    """Return the experiments that tell candidates apart."""
+    """Return the experiments that distinguish the candidates."""
     if len(candidates) < 2:
         return []
     weak = [name for name in candidates if name.startswith("weak_motor")]

@@ -1,4 +1,4 @@
-"""Figures of bench identifications: data with the fit, and the residual below."""
+"""Figures of test stand identifications: data with fit, and the residuals below."""
 
 from typing import TYPE_CHECKING
 
@@ -20,7 +20,7 @@ BEFORE, AFTER, DATA = "#b0413e", "#2a6f97", "#333333"
 def _pair(
     x: Array, measured: Array, before: Array, after: Array, names: tuple[str, str], labels: tuple[str, str]
 ) -> "Figure":
-    """Return measurements with two predictions (upper) and what each misses (lower)."""
+    """Return a figure of measurements with two predictions (upper) and their residuals (lower)."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8.0, 6.0))
@@ -39,7 +39,7 @@ def _pair(
 
 
 def static_figures(fit: StaticFit) -> "dict[str, Figure]":
-    """Return thrust and torque over speed."""
+    """Return the figures of thrust and torque against speed."""
     found = {}
     for name, values, choice in (("thrust", fit.thrust, fit.thrust_map), ("torque", fit.torque, fit.torque_map)):
         if values is None or choice is None:
@@ -56,7 +56,7 @@ def static_figures(fit: StaticFit) -> "dict[str, Figure]":
 
 
 def step_figures(lag: StepFit) -> "dict[str, Figure]":
-    """Return measured and predicted speed of every record over time."""
+    """Return the figures of measured and predicted speed of every record against time."""
     names = ("one time constant", lag.chosen)
     found, offset = {}, 0
     for number, record in enumerate(lag.records, start=1):
@@ -71,7 +71,7 @@ def step_figures(lag: StepFit) -> "dict[str, Figure]":
 
 
 def joint_figures(study: JointStudy) -> "dict[str, Figure]":
-    """Return the angle over time, whole and in the first second."""
+    """Return the figures of the angle against time, complete and in the first second."""
     record, names = study.record, ("published", study.chosen)
     measured = np.degrees(record.angle)
     before = measured - np.degrees(study.published)
@@ -85,7 +85,7 @@ def joint_figures(study: JointStudy) -> "dict[str, Figure]":
 
 
 def hover_figures(fit: HoverFit) -> "dict[str, Figure]":
-    """Return thrust over mass against the sum of squared speeds."""
+    """Return the figure of thrust over mass against the sum of squared speeds."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.0, 4.0))

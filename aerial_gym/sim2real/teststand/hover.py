@@ -1,4 +1,4 @@
-"""Thrust coefficient from hover: the rotors carry the weight, ``c_t = m f / sum(w²)``.
+"""Thrust coefficient from hover, where the rotors carry the weight: ``c_t = m f / sum(w²)``.
 
 Letters: T rows, W windows, R rotors.
 """
@@ -27,45 +27,45 @@ from aerial_gym.sim2real.teststand.statistics import (
 )
 
 WINDOW_S = 0.5
-"""Means are taken over windows of this length [s]."""
+"""Length of the averaging windows [s]."""
 
 SLOWEST = 0.4
-"""A vehicle below this speed [m/s] hovers: linear drag of 0.5 m/s² per m/s is then below 2 % of the weight."""
+"""Largest speed [m/s] at hover; linear drag of 0.5 m/s² per m/s is then below 2 % of the weight."""
 
 LARGEST_TILT = 0.15
-"""[rad]: the thrust is then within 1.2 % of the weight over its cosine, which is corrected."""
+"""Largest tilt [rad] at hover; thrust then exceeds the weight by at most 1.2 %, which is corrected."""
 
 FASTEST_TURN = 1.0
-"""[rad/s]."""
+"""Largest angular velocity [rad/s] at hover."""
 
 FEWEST_WINDOWS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
 class HoverModel:
-    """One candidate for the thrust."""
+    """One candidate thrust map."""
 
     name: str
     thrust_map: tuple[float, float, float]
     """c0, c1, c2 [N], [N s/rad], [N s²/rad²]."""
 
     held_out: Array = field(repr=False)
-    """Measured minus predicted thrust over mass [m/s²], fitted without that flight, (W,)."""
+    """Measured minus predicted thrust over mass [m/s²], from fits without that flight or fold, (W,)."""
 
     error: Rms
-    """Of the held-out windows, with its interval over flights or folds."""
+    """RMS held-out error, with its interval over flights or folds."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HoverFit:
-    """Thrust coefficient and what it changes."""
+    """Thrust coefficient, and the scale of the declared thrust map."""
 
     mass: float
     thrust_coefficient: Estimate
     """[N s²/rad²]."""
 
     scale: Estimate | None
-    """Factor on the declared thrust map; None without a declared one."""
+    """Factor of the declared thrust map; None without one."""
 
     by_flight: dict[str, float]
     """Thrust coefficient of each flight."""
@@ -81,7 +81,7 @@ class HoverFit:
     notes: tuple[Finding, ...] = ()
 
     def as_mapping(self) -> dict[str, object]:
-        """Return it for JSON."""
+        """Return the values for JSON."""
         found: dict[str, object] = {
             "mass": self.mass,
             "windows": self.force.size,
@@ -100,18 +100,18 @@ class HoverFit:
 
 
 def hovering_rows(log: FlightLog, speed: Array) -> list[Flags]:
-    """Return the rows (T,) of each window in which a flight hovers.
+    """Return the rows (T,) of each hover window of a flight.
 
     Args:
-        log: The flight.
-        speed: Of the rotors, measured or commanded, in any unit, (T, R).
+        log: Flight log.
+        speed: Measured or commanded rotor speeds in any unit, (T, R).
 
     Raises:
-        DataError: If it does not hover long enough.
+        DataError: If the hover is too short.
     """
     up = Rotation.from_quat(log.attitude).as_matrix()[:, 2, 2]
     still = up > np.cos(LARGEST_TILT)
-    still &= speed.min(axis=1) > 0.2 * np.median(speed)  # on the ground they stand still
+    still &= speed.min(axis=1) > 0.2 * np.median(speed)  # excludes stopped rotors on the ground
     if log.lin_vel is not None:
         still &= np.linalg.norm(log.lin_vel, axis=1) < SLOWEST
     if log.ang_vel is not None:
@@ -130,24 +130,24 @@ def hovering_rows(log: FlightLog, speed: Array) -> list[Flags]:
 
 @dataclass(frozen=True, kw_only=True)
 class Windows:
-    """Means over windows of hover in one flight."""
+    """Means over the hover windows of one flight."""
 
     name: str
     moments: Array
-    """Row sums over rotors of 1, w, w², averaged over the window, (W, 3)."""
+    """Sums over rotors of 1, w, w², averaged over each window, (W, 3)."""
 
     force: Array
     """Thrust over mass [m/s²], (W,)."""
 
     from_gravity: bool
-    """Whether the thrust is g over the cosine of the tilt, for want of an accelerometer."""
+    """Whether the thrust is g over the cosine of tilt, without an accelerometer."""
 
 
 def hover_windows(log: FlightLog) -> Windows:
-    """Return the windows in which a flight hovers.
+    """Return the hover windows of a flight.
 
     Raises:
-        DataError: If rotor speeds are missing, or the flight does not hover long enough.
+        DataError: If rotor speeds are missing, or the hover is too short.
     """
     if log.rotor_speed is None:
         raise DataError(f"{log.path}: needs measured rotor speeds; commands or duty cycles give no thrust coefficient")
@@ -175,12 +175,12 @@ def fit_hover(
     Args:
         logs: Flights with measured rotor speeds.
         mass: Mass of the vehicle [kg].
-        mass_std: Its standard deviation [kg]; mass and thrust coefficient cannot be told apart, so it widens the interval.
-        declared: Thrust map to compare with and to scale.
+        mass_std: Standard deviation of the mass [kg]; it widens the interval, since only c_t / m is observable.
+        declared: Declared thrust map, for comparison and scaling.
 
     Raises:
         DataError: If no flight hovers.
-        ConfigError: If the mass is impossible.
+        ConfigError: If the mass is invalid.
     """
     if not 0.0 < mass < 1e3 or not 0.0 <= mass_std < mass:
         raise ConfigError(f"mass = {mass!r} ± {mass_std!r} kg: must be > 0, and its deviation in [0, mass)")
@@ -232,7 +232,7 @@ def _slope(cause: Array, effect: Array) -> float:
 
 
 def _ratio(cause: Array, effect: Array, sizes: Sequence[int], mass_error: float) -> Estimate:
-    """Return the slope through the origin; its interval is the wider of windows' and flights' scatter, plus the mass."""
+    """Return the slope through the origin; the interval has the larger scatter of windows or flights, and the mass error."""
     slope = _slope(cause, effect)
     unit = cause / rms(cause)
     residual = effect - slope * cause
@@ -250,7 +250,7 @@ def _ratio(cause: Array, effect: Array, sizes: Sequence[int], mass_error: float)
 def _model(
     name: str, shape: tuple[float, float, float], moments: Array, force: Array, mass: float, group: Indices
 ) -> HoverModel:
-    """Return a thrust map of a given shape whose size is fitted without each group in turn."""
+    """Return a scaled thrust map of fixed shape, with held-out errors from fits without each group."""
     carried, target = moments @ np.array(shape), mass * force
     held_out = left_out(group, lambda out: force[out] - _slope(carried[~out], target[~out]) * carried[out] / mass)
     size = _slope(carried, target)

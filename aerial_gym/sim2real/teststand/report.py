@@ -1,4 +1,4 @@
-"""What an identification leaves behind: tables for people, figures, JSON, and a robot file with the new numbers."""
+"""Results of an identification: tables, figures, JSON, and a robot file with the new values."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """Rows of text under one title."""
+    """Table with a title and text cells."""
 
     title: str
     head: tuple[str, ...]
@@ -28,23 +28,23 @@ class Table:
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
-    """A finished identification."""
+    """Result of an identification."""
 
     title: str
     intro: str
     mapping: dict[str, object]
-    """For JSON."""
+    """Content for JSON."""
 
     tables: tuple[Table, ...]
     figures: "dict[str, Figure]" = field(default_factory=dict)
-    """By file name without ending."""
+    """Figures by file name without suffix."""
 
     notes: tuple[Finding, ...] = ()
     files: dict[str, str] = field(default_factory=dict)
-    """Further files: text by name."""
+    """Text of further files by name."""
 
     def markdown(self) -> str:
-        """Return the report."""
+        """Return the report as Markdown."""
         lines = [f"# {self.title}", "", self.intro, ""]
         for table in self.tables:
             lines += [f"## {table.title}", "", "| " + " | ".join(table.head) + " |", "| --- " * len(table.head) + "|"]
@@ -62,7 +62,7 @@ class Study:
 
 
 def write_study(out_dir: Path, study: Study, config: dict[str, object], inputs: Sequence[str | Path]) -> None:
-    """Write report.md, its figures, result.json and the robot or rotor file; the folder appears when all is done."""
+    """Write report.md, figures, result.json and the robot or rotor file; the folder appears only on success."""
     check_out_dir(out_dir)
     with whole_folder(out_dir) as folder:
         for name, figure in study.figures.items():
@@ -75,7 +75,7 @@ def write_study(out_dir: Path, study: Study, config: dict[str, object], inputs: 
 
 
 def rotor_files(robot: RobotCfg | None, changes: dict[str, object], source: str) -> dict[str, str]:
-    """Return robot.yaml with new rotor numbers, or rotor.yaml with these alone where no robot is given."""
+    """Return robot.yaml with new rotor values, or rotor.yaml with these alone without a robot."""
     if robot is None:
         lines = [
             f"  {name}: {list(v) if isinstance(v, tuple) else v!r}" for name, v in changes.items() if v is not None

@@ -1,4 +1,4 @@
-"""Least squares where the covariance of the rows is known only from a few repeats: exact tests, t intervals and evidence.
+"""Least squares with a row covariance estimated from few repeats: exact tests, t intervals and evidence.
 
 Letters: K rows, P parameters.
 """
@@ -15,13 +15,13 @@ from aerial_gym.sim2real.teststand.statistics import Estimate
 
 @dataclass(frozen=True, kw_only=True)
 class Scatter:
-    """How much repeats under one condition differ."""
+    """Covariance of repeats under one condition."""
 
     squares: Array
-    """Sums of squares and products about the mean of each group, (K, K)."""
+    """Sums of squares and products about the group means, (K, K)."""
 
     freedom: int
-    """Repeats less groups."""
+    """Degrees of freedom: repeats minus groups."""
 
     @property
     def std(self) -> Array:
@@ -29,15 +29,14 @@ class Scatter:
         return np.sqrt(np.diag(self.squares) / self.freedom)
 
     def half_width(self, share: float) -> Array:
-        """Return half the width of 95 % intervals of a mean or difference whose covariance is ``share`` times that of one
-        repeat, (K,)."""
+        """Return half the 95 % interval of a mean or difference with covariance ``share`` times that of one repeat, (K,)."""
         return stats.t.ppf(0.975, self.freedom) * self.std * np.sqrt(share)
 
     def p_value(self, left: Array, covariance: Array) -> float:
-        """Return the probability that scatter alone leaves as much or more, Hotelling's test.
+        """Return the p-value of a residual under scatter alone, by Hotelling's test.
 
         Args:
-            left: What is left, (K,).
+            left: Residual, (K,).
             covariance: Its covariance, (K, K).
         """
         size = left.size
@@ -46,30 +45,30 @@ class Scatter:
 
 
 def pooled_scatter(groups: Sequence[Array]) -> Scatter:
-    """Return the scatter within groups of repeats (N, K), the same in all groups; a group of one says nothing."""
+    """Return the common scatter within groups of repeats (N, K); groups of one do not contribute."""
     centred: Array = np.concatenate([group - group.mean(axis=0) for group in groups])
     return Scatter(squares=centred.T @ centred, freedom=len(centred) - len(groups))
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScatterFit:
-    """A straight model of rows with correlated scatter."""
+    """Linear model of rows with correlated scatter."""
 
     params: Array
-    """(P,)."""
+    """Parameters, (P,)."""
 
     covariance: Array
-    """To be used with Student's t of ``freedom``, (P, P)."""
+    """Covariance for Student's t with ``freedom``, (P, P)."""
 
     freedom: int
     misfit: float
-    """Probability that scatter alone leaves as much as this fit, or more."""
+    """P-value of the residual under scatter alone."""
 
     spread: Array = field(repr=False)
-    """Covariance of the fitted rows if the rows had that of one repeat, (K, K)."""
+    """Covariance of the fitted rows if each row has that of one repeat, (K, K)."""
 
     def ratio(self, upper: int, lower: int) -> Estimate | None:
-        """Return the ratio of two parameters with its 95 % interval; None if the divisor may be 0, which leaves it open.
+        """Return the ratio of two parameters with its 95 % interval; None if the divisor may be 0.
 
         Source: Fieller (1954), Some problems in interval estimation, Journal of the Royal Statistical Society B 16.
         """
@@ -84,17 +83,17 @@ class ScatterFit:
 
 
 def fit_scatter(target: Array, columns: Array, scatter: Scatter, share: float) -> ScatterFit:
-    """Return the fit of ``target = columns params``; scatter needs at least as much freedom as there are rows.
+    """Return the fit of ``target = columns params``; the scatter needs at least K degrees of freedom.
 
     Args:
-        target: Rows (K,), with ``share`` times the covariance of one repeat.
-        columns: (K, P); P = 0: nothing is fitted.
-        scatter: Between repeats.
+        target: Rows (K,) with ``share`` times the covariance of one repeat.
+        columns: Regressors (K, P); P = 0: no fit.
+        scatter: Scatter of repeats.
         share: 1 for one repeat, 1/N for the mean of N, their sum for a difference.
 
     Source:
-        Rao (1965), The theory of least squares when the parameters are stochastic, Biometrika 52: what no parameter explains
-        serves as covariates, so that intervals and F tests are exact for normal scatter that was estimated.
+        Rao (1965), The theory of least squares when the parameters are stochastic, Biometrika 52: unexplained
+        combinations of rows are covariates, so intervals and F tests are exact for normal scatter.
     """
     size, count = columns.shape
     weight = np.linalg.inv(scatter.squares)
@@ -114,20 +113,19 @@ def fit_scatter(target: Array, columns: Array, scatter: Scatter, share: float) -
 
 
 NODES = 32
-"""Steps of each of the two integrals of the evidence; twice as many move no probability by 0.001."""
+"""Nodes of each of the two evidence integrals; twice as many change no probability by 0.001."""
 
 
 def log_evidence(target: Array, columns: Array, scatter: Scatter, share: float) -> float:
-    """Return the logarithm of how probable ``target = columns params`` makes the rows, whatever the parameters.
+    """Return the log evidence of ``target = columns params``, integrated over the parameters.
 
-    What the parameters do to the rows is normal and of one size in all directions that the columns span. That size is anything
-    from that of the scatter to 1 (a change by the whole), evenly in its logarithm. More columns spread the same probability
-    over more changes: they win only if the rows ask for them.
+    Their effect on the rows has an isotropic normal prior in the columns' span. Its size is log-uniform between the scatter
+    and 1 (a change by 100 %). More columns spread the same probability over more changes, so they win only if needed.
 
     Args:
-        target: Rows (K,), relative changes, with ``share`` times the covariance of one repeat.
-        columns: (K, P); P = 0: nothing changed; P = K: anything may have.
-        scatter: Between repeats, of a covariance of which nothing else is known; its freedom must be at least K.
+        target: Relative changes (K,) with ``share`` times the covariance of one repeat.
+        columns: Regressors (K, P); P = 0: no change; P = K: any change.
+        scatter: Scatter of repeats with at least K degrees of freedom, the only information on the covariance.
         share: As in `fit_scatter`.
 
     Source:
@@ -155,5 +153,5 @@ def log_evidence(target: Array, columns: Array, scatter: Scatter, share: float) 
 
 
 def _tail(ratio: float, count: int, freedom: int) -> float:
-    """Return the upper tail of F for a ratio of sums of squares."""
+    """Return the upper tail probability of F for a ratio of sums of squares."""
     return float(stats.f.sf(ratio * freedom / count, count, freedom))

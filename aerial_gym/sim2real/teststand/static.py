@@ -1,4 +1,4 @@
-"""Thrust and torque of a rotor at steady speed: polynomials whose order is chosen by held-out error.
+"""Rotor thrust and torque at steady speed: polynomials selected by held-out error.
 
 Letters: T rows, K terms.
 """
@@ -31,32 +31,32 @@ MAPS: dict[str, tuple[int, ...]] = {
     "w² and w": (2, 1),
     "w², w and constant": (2, 1, 0),
 }
-"""Powers of the speed in each candidate that a robot file can hold."""
+"""Powers of the speed in each map that a robot file supports."""
 
 BEYOND = {"w³, w² and w": (3, 2, 1)}
-"""A candidate that no robot file holds: if it predicts much better, the polynomial of second order is not the whole truth."""
+"""A map that no robot file supports; a much smaller error of it shows that second order is insufficient."""
 
 STALLED = 0.02
-"""A speed of 0 at more than this share of the highest thrust is a speed sensor that does not read."""
+"""Least thrust, relative to the highest, at which a speed of 0 indicates a failed speed sensor."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MapFit:
-    """One candidate."""
+    """Fit of one candidate map."""
 
     name: str
     coefficients: dict[str, Estimate]
-    """By power: c2 [.. s²/rad²], c1, c0, c3; or ratio [m]."""
+    """Coefficients by name: c2 [.. s²/rad²], c1, c0, c3; or ratio [m]."""
 
     fit_rms: float
-    """On the rows of the fit."""
+    """RMS residual of the fit."""
 
     held_out: Array
-    """Measured minus predicted by a fit without that row, (T,)."""
+    """Measured minus predicted, from fits without that row, (T,)."""
 
     @property
     def held_out_rms(self) -> float:
-        """Root mean square of the held-out errors."""
+        """RMS of the held-out errors."""
         return rms(self.held_out)
 
     def polynomial(self) -> tuple[float, float, float]:
@@ -65,24 +65,24 @@ class MapFit:
         return c0, c1, c2
 
     def as_mapping(self) -> dict[str, object]:
-        """Return it for JSON."""
+        """Return the values for JSON."""
         return fields_of(self, "name", "fit_rms", "held_out_rms", "coefficients")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """Candidates for one quantity, and the one that predicts rows best that it has not seen."""
+    """Candidate maps for one quantity, and the selected one."""
 
     unit: str
     candidates: dict[str, MapFit]
     chosen: str
 
     nested: Array
-    """Held-out errors of the whole procedure: the map was chosen again without that row, (T,)."""
+    """Nested cross-validation errors, with the map selected again without that row, (T,)."""
 
     @property
     def best(self) -> MapFit:
-        """The chosen candidate."""
+        """Selected candidate."""
         return self.candidates[self.chosen]
 
     @property
@@ -92,11 +92,11 @@ class Choice:
 
     @property
     def after(self) -> Rms:
-        """Held-out error of the procedure that chose the map."""
+        """Nested cross-validation error of the selection."""
         return held_out_error(self.nested)
 
     def as_mapping(self) -> dict[str, object]:
-        """Return it for JSON."""
+        """Return the values for JSON."""
         return {
             **fields_of(self, "unit", "chosen"),
             "before": {"model": "w²", "held_out": plain(self.before)},
@@ -123,20 +123,20 @@ class StaticFit:
     torque_map: Choice | None
 
     torque_ratio: Estimate | None
-    """Torque per thrust [m]."""
+    """Torque over thrust [m]."""
 
     notes: tuple[Finding, ...]
 
     reverse: "StaticFit | None" = None
-    """Of the rows in which the rotor turns backwards, with speed, thrust and torque of the other sign."""
+    """Maps of reverse rotation, with signs of speed, thrust and torque inverted."""
 
     @property
     def thrust_coefficient(self) -> Estimate:
-        """Thrust per squared speed [N s²/rad²], of the fit with this term alone."""
+        """Thrust coefficient [N s²/rad²] of the fit with w² alone."""
         return self.thrust_map.candidates["w²"].coefficients["c2"]
 
     def as_mapping(self) -> dict[str, object]:
-        """Return it for JSON."""
+        """Return the values for JSON."""
         parts = {
             "c_t": self.thrust_coefficient,
             "thrust": self.thrust_map,
@@ -149,17 +149,17 @@ class StaticFit:
 
 
 def fit_static(bench: Bench, *, num_motors: int = 1) -> tuple[list[StaticFit], list[Finding]]:
-    """Return the maps of one file, and the tests without one; a column ``test`` splits it into several tests.
+    """Return the maps of one file, and findings on rejected tests; a column ``test`` separates several tests.
 
-    Negative speeds are those of a reversible rotor that turns backwards, with thrust and torque of the other sign: they have
-    maps of their own, and all pass through 0 with the speed.
+    Negative speeds belong to a reversible rotor in reverse, with negative thrust and torque. They have separate maps, and all
+    maps then pass through 0.
 
     Args:
-        bench: Speed, thrust and, where there is one, torque.
-        num_motors: Motors whose thrust and torque were measured together.
+        bench: Speed, thrust and, if measured, torque.
+        num_motors: Number of motors in the measured thrust and torque.
 
     Raises:
-        DataError: If columns are missing, or no test can be used.
+        DataError: If columns are missing, or no test is usable.
     """
     column = bench.column("thrust") or ""
     if "total" in column.lower() and num_motors == 1:
@@ -183,7 +183,7 @@ def fit_static(bench: Bench, *, num_motors: int = 1) -> tuple[list[StaticFit], l
 
 
 def _fit_both_ways(name: str, measured: dict[str, Array]) -> StaticFit:
-    """Return the maps of speed, thrust and, if it was measured, torque, (T,) each."""
+    """Return the maps for both directions of rotation, from speed, thrust and optional torque, (T,) each."""
     back = measured["speed"] < 0.0
     if not back.any():
         return _fit_test(name, measured)
@@ -221,11 +221,11 @@ def _fit_test(name: str, measured: dict[str, Array], *, through_zero: bool = Fal
 def choose_map(
     speed: Array, values: Array, *, unit: str, thrust: MapFit | None = None, through_zero: bool = False
 ) -> Choice:
-    """Return the candidates for ``values`` (T,) at speeds (T,) and the choice among them.
+    """Return the candidate maps for ``values`` (T,) at speeds (T,), and the selection.
 
-    ``thrust``: the chosen thrust map, which adds the candidate of a constant torque ratio. A map whose term in w² is not
-    positive is no candidate: no robot file holds it; nor, for a reversible rotor (``through_zero``), one with a constant or a
-    negative term in w.
+    ``thrust``: the selected thrust map, which adds a constant torque ratio as a candidate. Maps without a positive w² term
+    are excluded, as no robot file supports them. So are maps of a reversible rotor (``through_zero``) with a constant or a
+    negative w term.
     """
     maps = {name: powers for name, powers in MAPS.items() if not (through_zero and 0 in powers)}
     candidates = {name: _fit_powers(name, powers, speed, values) for name, powers in (maps | BEYOND).items()}
@@ -249,7 +249,7 @@ def choose_map(
 
 
 def _leave_one_out(regressors: Array, values: Array) -> Array:
-    """Return what each row misses the fit of the others by: residual over one minus leverage."""
+    """Return the leave-one-out errors: residual over one minus leverage."""
     scale = np.abs(regressors).max(axis=0)
     scaled = regressors / np.where(scale > 0.0, scale, 1.0)
     residual = values - scaled @ np.linalg.lstsq(scaled, values, rcond=None)[0]

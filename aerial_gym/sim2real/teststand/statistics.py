@@ -1,4 +1,4 @@
-"""Least squares whose intervals respect unequal and correlated residuals.
+"""Least squares with intervals for heteroscedastic and autocorrelated residuals.
 
 Letters: N rows, K parameters.
 """
@@ -13,27 +13,27 @@ from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.statistics import Rms, rms_with_interval
 
 PARSIMONY = 0.02
-"""A law with fewer parameters is taken if its held-out error is at most this share larger."""
+"""Largest relative excess of the held-out error for which a law with fewer parameters is chosen."""
 
 FOLDS = 5
-"""Parts of a single flight that are left out in turn."""
+"""Number of folds of a single flight."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """A number with its 95 % interval."""
+    """A value with its 95 % interval."""
 
     value: float
     low: float
     high: float
 
     def as_mapping(self) -> dict[str, float | list[float]]:
-        """Return it for JSON."""
+        """Return the values for JSON."""
         return {"value": self.value, "interval": [self.low, self.high]}
 
     @classmethod
     def around(cls, value: float, half_width: float) -> "Estimate":
-        """Return a number whose interval reaches as far to either side."""
+        """Return a value with a symmetric interval."""
         return cls(value=float(value), low=float(value - half_width), high=float(value + half_width))
 
 
@@ -44,27 +44,27 @@ def estimates(values: Array, covariance: Array, freedom: int) -> list[Estimate]:
 
 
 def rms(values: Array) -> float:
-    """Return the root of the mean square."""
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 def held_out_error(values: Array, group: Indices | None = None) -> Rms:
-    """Return the rms of held-out errors (N,) with a 95 % interval over groups of rows; None: rows are independent."""
+    """Return the RMS of held-out errors (N,) with a 95 % interval over groups of rows; None: independent rows."""
     labels = np.arange(values.size) if group is None else group
     return rms_with_interval(values[:, None], labels, seed=0)[0]
 
 
 def parts_of(counts: Sequence[int]) -> Indices:
-    """Return the part of each row that is left out together, (N,): its flight, of so many rows each; a single one has FOLDS."""
+    """Return the cross-validation fold of each row, (N,): its flight, given row counts, or one of FOLDS of a single flight."""
     if len(counts) == 1:
         return np.arange(counts[0]) * FOLDS // counts[0]
     return np.repeat(np.arange(len(counts)), counts)
 
 
 def left_out(part: Indices, missed: Callable[[Flags], Array]) -> Array:
-    """Return by how much every row (N,) misses a fit that has not seen its part, (N,).
+    """Return the cross-validation error of every row, (N,), given its fold ``part`` (N,).
 
-    ``missed`` fits the rows outside of some, bool (N,), and says by how much these miss it.
+    ``missed`` takes the left-out rows, bool (N,), fits all others, and returns the errors of the left-out ones.
     """
     found = np.empty(part.size)
     for label in np.unique(part):
@@ -74,24 +74,24 @@ def left_out(part: Indices, missed: Callable[[Flags], Array]) -> Array:
 
 
 def parsimonious(errors: Mapping[str, float], terms: Mapping[str, int]) -> str:
-    """Return the candidate with the fewest terms among those whose error is close to the least; of these the best."""
+    """Return the candidate with the fewest terms among those with nearly the least error; of equals the best."""
     least = min(errors.values())
     close = [name for name, error in errors.items() if error <= (1.0 + PARSIMONY) * least]
     return min(close, key=lambda name: (terms[name], errors[name]))
 
 
 def leverage(regressors: Array) -> Array:
-    """Return the diagonal of the hat matrix, (N,): how much each row pulls its own fit."""
+    """Return the leverage of each row, (N,): the diagonal of the hat matrix."""
     q, _ = np.linalg.qr(regressors / np.maximum(np.abs(regressors).max(axis=0), 1e-300))
     return (q * q).sum(axis=1)
 
 
 LONGEST_MEMORY = 0.97
-"""Largest correlation from row to row that scores are whitened by (Andrews, Monahan 1992, section 3)."""
+"""Largest AR(1) coefficient for the prewhitening of scores (Andrews, Monahan 1992, section 3)."""
 
 
 def independent_covariance(regressors: Array, residual: Array) -> Array:
-    """Return the covariance of least squares for independent residuals of unequal size, (K, K).
+    """Return the least-squares covariance for independent, heteroscedastic residuals, (K, K).
 
     Source: MacKinnon, White (1985), Some heteroskedasticity-consistent covariance matrix estimators, HC3.
     """
@@ -101,7 +101,7 @@ def independent_covariance(regressors: Array, residual: Array) -> Array:
 
 
 def correlation_rows(residual: Array) -> int:
-    """Return how many rows residuals stay correlated for: the bandwidth of the Bartlett window for an AR(1) process.
+    """Return the Bartlett bandwidth in rows for residuals that follow an AR(1) process.
 
     Source: Andrews (1991), Heteroskedasticity and autocorrelation consistent covariance matrix estimation, eq. 6.2, 6.4.
     """
@@ -112,14 +112,14 @@ def correlation_rows(residual: Array) -> int:
 
 
 def correlated_covariance(regressors: Array, residual: Array) -> Array:
-    """Return the covariance of least squares for residuals that are correlated from row to row, (K, K).
+    """Return the least-squares covariance for autocorrelated residuals, (K, K).
 
-    Scores are whitened by an AR(1) process each, summed with a Bartlett window, and coloured again.
+    Scores are prewhitened by AR(1), summed with a Bartlett window, and recoloured.
 
     Source:
         Andrews, Monahan (1992), An improved heteroskedasticity and autocorrelation consistent covariance matrix estimator;
-        Newey, West (1987) for the window; residuals over one minus leverage as in HC3, since a few rows at a step carry most
-        of what is known.
+        Newey, West (1987) for the window; residuals over one minus leverage as in HC3, since a few rows at a step
+        carry most of the information.
     """
     scores = regressors * (residual / np.maximum(1.0 - leverage(regressors), 1e-6))[:, None]
     before, after = scores[:-1], scores[1:]
@@ -137,22 +137,22 @@ def correlated_covariance(regressors: Array, residual: Array) -> Array:
 
 
 def _unit(white: Array) -> Array:
-    """Return weights that make all scores count the same, (K,)."""
+    """Return weights that standardise the scores, (K,)."""
     return 1.0 / np.maximum(white.std(axis=0), 1e-300)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CurveFit:
-    """A curve fitted to rows in order of time."""
+    """Fit of a curve to rows in time order."""
 
     params: Array
-    """(K,)."""
+    """Parameters, (K,)."""
 
     residual: Array
     """Measured minus fitted, (N,)."""
 
     covariance: Array
-    """(K, K)."""
+    """Covariance of the parameters, (K, K)."""
 
     def estimates(self) -> list[Estimate]:
         """Return the parameters with 95 % intervals."""
@@ -172,10 +172,10 @@ def fit_curve(
     Args:
         predict: Curve (N,) of parameters (K,).
         measured: Curve (N,).
-        start: First guess (K,), inside the bounds.
+        start: Initial parameters (K,), inside the bounds.
         low: Lower bounds (K,).
         high: Upper bounds (K,).
-        kept: Rows to fit, (N,); None takes all. ``residual`` holds all rows.
+        kept: Fitted rows, (N,); None: all. ``residual`` holds all rows.
     """
     rows = np.ones(measured.size, dtype=bool) if kept is None else kept
     scale = np.maximum(np.abs(start), 1e-3 * (high - low))

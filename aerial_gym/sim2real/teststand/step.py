@@ -1,4 +1,4 @@
-"""Step responses of a rotor: time constants up and down, slew limits and delay, chosen by steps left out of the fit.
+"""Step responses of a rotor: time constants, slew limits and delay, selected by cross-validation over steps.
 
 Letters: T rows, K parameters.
 """
@@ -18,10 +18,10 @@ from aerial_gym.sim2real.teststand.statistics import Estimate, fit_curve, held_o
 from aerial_gym.sim2real.teststand.tables import Bench
 
 SHORTEST_STEP = 5
-"""Rows per step; fewer do not show a time constant."""
+"""Least number of rows per step for a time constant."""
 
 NO_LIMIT = 1e9
-"""Stands for a slew limit that is never reached [rad/s²]."""
+"""Slew limit that stands for none [rad/s²]."""
 
 BOUNDS: dict[str, tuple[float, float, float]] = {
     "tau": (0.03, 1e-3, 2.0),
@@ -31,7 +31,7 @@ BOUNDS: dict[str, tuple[float, float, float]] = {
     "slew_up": (6e4, 1e2, 1e7),
     "slew_down": (3e4, 1e2, 1e7),
 }
-"""First guess, lower and upper bound: tau and delay [s], slew [rad/s²]."""
+"""Initial value, lower and upper bound: tau and delay [s], slew [rad/s²]."""
 
 LAWS: dict[str, tuple[str, ...]] = {
     "one time constant": ("tau",),
@@ -43,15 +43,15 @@ LAWS: dict[str, tuple[str, ...]] = {
     "up and down, slew limits": ("tau_up", "tau_down", "slew_up", "slew_down"),
     "up and down, slew limits, delay": ("tau_up", "tau_down", "slew_up", "slew_down", "delay"),
 }
-"""Parameters of each candidate."""
+"""Parameters of each law."""
 
 ROBOT_LAWS = tuple(name for name, params in LAWS.items() if "delay" not in params)
-"""Candidates that the rotor of a robot file can hold; a delay is the effect ``actuation_delay``."""
+"""Laws that a robot file's rotor supports; a delay is the effect ``actuation_delay``."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StepRecord:
-    """One record of held commands."""
+    """Record with piecewise constant commands."""
 
     path: str
     time: Array
@@ -64,54 +64,54 @@ class StepRecord:
     """[rad/s], (T,)."""
 
     starts: Indices
-    """First row of each step, and T at the end."""
+    """First row of each step, with T at the end."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LawFit:
-    """One candidate."""
+    """Fit of one law."""
 
     name: str
     params: dict[str, Estimate]
     fit_rms: float
     held_out: Array
-    """Measured minus predicted by a fit without that step, (T of all records,)."""
+    """Measured minus predicted, from fits without that step, (T of all records,)."""
 
     step: Indices = field(repr=False)
-    """Number of the step of each row, (T of all records,)."""
+    """Step number of each row, (T of all records,)."""
 
     residual: Array = field(repr=False)
-    """Of the fit to all steps, (T of all records,)."""
+    """Residual of the fit to all steps, (T of all records,)."""
 
     @property
     def error(self) -> Rms:
-        """Root mean square of the held-out errors [rad/s], with its interval over steps."""
+        """RMS held-out error [rad/s], with its interval over steps."""
         return held_out_error(self.held_out, self.step)
 
     @property
     def held_out_rms(self) -> float:
-        """Root mean square of the held-out errors [rad/s]."""
+        """RMS held-out error [rad/s]."""
         return rms(self.held_out)
 
     def as_mapping(self) -> dict[str, object]:
-        """Return it for JSON."""
+        """Return the values for JSON."""
         return {**fields_of(self, "name", "fit_rms"), "held_out": plain(self.error), "params": plain(self.params)}
 
 
 @dataclass(frozen=True, kw_only=True)
 class StepFit:
-    """Candidates and the one that predicts steps best that it has not seen."""
+    """Fits of all laws, and the selected one."""
 
     records: tuple[StepRecord, ...]
     laws: dict[str, LawFit]
     chosen: str
     in_robot: str
-    """The best candidate that a robot file can hold."""
+    """Best law that a robot file supports."""
 
     notes: tuple[Finding, ...]
 
     def as_mapping(self) -> dict[str, object]:
-        """Return it for JSON."""
+        """Return the values for JSON."""
         first, best = self.laws["one time constant"], self.laws[self.chosen]
         return {
             "unit": "rad/s",
@@ -124,7 +124,7 @@ class StepFit:
 
 
 def step_record(bench: Bench) -> StepRecord:
-    """Return the steps of a file.
+    """Return the step record in a file.
 
     Raises:
         DataError: If time does not increase or the command does not change in steps.
@@ -142,16 +142,16 @@ def step_record(bench: Bench) -> StepRecord:
             f"{bench.path}: the command is held for {np.median(held):g} rows in {held.size} steps; needs at least two steps "
             f"of {SHORTEST_STEP} rows: step the command and wait until the speed has settled"
         )
-    # A command given before the record, at which the rotor already turns, is no step.
+    # The command before the record, if the rotor has already reached it, is no step.
     if abs(measured[0] - command[0]) <= 0.02 * np.ptp(command):
         starts = starts[1:] if held.size > 2 else starts
     return StepRecord(path=bench.path, time=time, command=command, measured=measured, starts=starts)
 
 
 def lag_error(error: float, tau: float, slew: float, since: Array) -> Array:
-    """Return what is left of ``error`` [rad/s] some time [s] after a step, (T,): a ramp, then an exponential.
+    """Return the remaining speed error [rad/s] at times ``since`` [s] after a step, (T,): a ramp, then an exponential.
 
-    ``e' = -min(|e| / tau, slew) sign(e)``; before the step it is whole.
+    It solves ``e' = -min(|e| / tau, slew) sign(e)`` from ``error``, and is constant before the step.
 
     Source:
         Derived: the ramp ends where ``|e| = slew tau``; from there it is a first-order lag.
@@ -179,7 +179,7 @@ def simulate(record: StepRecord, params: dict[str, float]) -> Array:
 
 
 def fit_steps(records: Sequence[StepRecord]) -> StepFit:
-    """Return the candidates fitted to all steps, each judged on steps left out."""
+    """Return the fits of all laws to all steps, with cross-validation errors over steps."""
     ways = [way for record in records for way in _ways(record)]
     notes = []
     names = list(LAWS)
@@ -211,7 +211,7 @@ def _fit_law(name: str, records: Sequence[StepRecord]) -> LawFit:
     labels = LAWS[name]
     start, low, high = (np.array(column) for column in zip(*(BOUNDS[label] for label in labels), strict=True))
     measured = np.concatenate([record.measured[record.starts[0] :] for record in records])
-    # A limit that no step reaches has no slope: begin where the largest one does.
+    # An unreached limit has zero gradient, so start where the largest step reaches it.
     for place, label in enumerate(labels):
         if label.startswith("slew"):
             asked = max(largest_step(record, label.removeprefix("slew_")) for record in records) / BOUNDS["tau"][0]
@@ -233,7 +233,7 @@ def _fit_law(name: str, records: Sequence[StepRecord]) -> LawFit:
 
 
 def _unreached(params: dict[str, Estimate], records: Sequence[StepRecord]) -> dict[str, Estimate]:
-    """Return the parameters; a slew limit that no step reaches is only known to lie above what the steps asked for."""
+    """Return the parameters; a slew limit that no step reaches gets the required rate as its lower bound."""
     found = dict(params)
     for way in ("up", "down"):
         if f"slew_{way}" not in params:
@@ -248,6 +248,6 @@ def _unreached(params: dict[str, Estimate], records: Sequence[StepRecord]) -> di
 
 
 def largest_step(record: StepRecord, way: str) -> float:
-    """Return the largest step up or down in a record [rad/s]; 0 if there is none."""
+    """Return the largest step up or down in a record [rad/s]; 0 without one."""
     levels = np.array([record.measured[record.starts[0]], *record.command[record.starts[:-1]]])
     return float(np.max(np.diff(levels) * (1.0 if way == "up" else -1.0), initial=0.0))

@@ -1,4 +1,4 @@
-"""The identifications of ``aerial-gym identify``, from files to a study with tables, figures and notes."""
+"""Studies of ``aerial-gym identify``: from files to tables, figures and notes."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -32,7 +32,7 @@ MOST_TESTS_SHOWN = 3
 
 
 def interval(found: Estimate | Rms) -> str:
-    """Return a number with its 95 % interval as text."""
+    """Return a value with its 95 % interval as text."""
     return f"{found.value:.4g} [{found.low:.4g}, {found.high:.4g}]"
 
 
@@ -42,10 +42,10 @@ def change(before: float, after: float) -> str:
 
 
 def study_motor(benches: Sequence[Bench], *, num_motors: int = 1, robot: RobotCfg | None = None) -> Study:
-    """Return rotor maps and lags from static tables and step records, told apart by their columns.
+    """Return a study of rotor maps and lags from static tests and step records, distinguished by their columns.
 
     Raises:
-        DataError: If a file is neither, or cannot be used.
+        DataError: If a file is neither, or is unusable.
     """
     static: list[StaticFit] = []
     steps, left_out = [], []
@@ -93,7 +93,7 @@ def names(benches: Sequence[Bench]) -> str:
 
 
 def rotor_changes(static: Sequence[StaticFit], lag: StepFit | None) -> dict[str, object]:
-    """Return the fields of a rotor that one static test and the steps give; nothing for several tests."""
+    """Return the rotor fields from one static test and the steps; no maps for several tests."""
     found: dict[str, object] = {}
     if len(static) == 1:
         fit = static[0]
@@ -113,7 +113,7 @@ def rotor_changes(static: Sequence[StaticFit], lag: StepFit | None) -> dict[str,
 
 
 def _reverse_changes(fit: StaticFit, reverse: StaticFit) -> dict[str, object]:
-    """Return the fields of a reversible rotor: maps backwards, and the range of thrusts that were measured."""
+    """Return the fields of a reversible rotor: reverse maps, and the range of measured thrust."""
     thrust_map = reverse.thrust_map.best.polynomial()
     found: dict[str, object] = {"reverse_thrust_map": thrust_map}
     found["thrust_range"] = -float(reverse.thrust.max()), float(fit.thrust.max())
@@ -127,17 +127,17 @@ def _reverse_changes(fit: StaticFit, reverse: StaticFit) -> dict[str, object]:
 
 
 def slew_rates(params: Mapping[str, Estimate]) -> dict[str, object]:
-    """Return the slew rates of a rotor from those of a law; one that no step reaches is none."""
+    """Return the slew rates of a rotor from a law; None for one that no step reaches."""
     rates = {way: params.get(f"slew_{way}") for way in ("up", "down")}
     reached = {way: rate for way, rate in rates.items() if rate is not None and rate.high < BOUNDS[f"slew_{way}"][2]}
     up, down = (reached[way].value if way in reached else None for way in ("up", "down"))
-    if up is not None and down is None:  # without a number of its own falling has that of growing
+    if up is not None and down is None:  # otherwise the rising limit would apply to falling speeds
         down = BOUNDS["slew_down"][2]
     return {"slew_rate": up, "slew_rate_down": down}
 
 
 def all_tests(static: Sequence[StaticFit]) -> dict[str, object]:
-    """Return how the choice does over many tests, each error relative to its highest thrust."""
+    """Return a summary of map selection over many tests, with errors relative to the highest thrust."""
     before = np.array([fit.thrust_map.before.value / fit.thrust.max() for fit in static])
     after = np.array([fit.thrust_map.after.value / fit.thrust.max() for fit in static])
     chosen = [fit.thrust_map.chosen for fit in static]
@@ -151,7 +151,7 @@ def all_tests(static: Sequence[StaticFit]) -> dict[str, object]:
 
 
 def static_tables(static: Sequence[StaticFit]) -> list[Table]:
-    """Return the tables of static tests: all candidates of a few, a summary of many."""
+    """Return the tables of static tests: all candidates for few tests, a summary for many."""
     tables = []
     parts = [part for fit in static for part in (fit, fit.reverse) if part is not None]
     for fit in parts if len(static) <= MOST_TESTS_SHOWN else []:
@@ -183,7 +183,7 @@ def _choice_table(quantity: str, choice: Choice) -> Table:
 
 
 def curvature_notes(fit: StaticFit) -> list[Finding]:
-    """Return a note on each residual that keeps a curvature beyond the map of a robot file."""
+    """Return a finding for each residual with a curvature that a robot file's map cannot represent."""
     found = []
     for quantity, choice in (("thrust", fit.thrust_map), ("torque", fit.torque_map)):
         if choice is None:
@@ -197,7 +197,7 @@ def curvature_notes(fit: StaticFit) -> list[Finding]:
 
 
 def step_tables(lag: StepFit) -> list[Table]:
-    """Return the table of lags."""
+    """Return the table of lag laws."""
     rows = []
     for law in lag.laws.values():
         mark = " (chosen)" * (law.name == lag.chosen) + " (in robot file)" * (law.name == lag.in_robot)
@@ -210,7 +210,7 @@ def step_tables(lag: StepFit) -> list[Table]:
 
 
 def study_joint(bench: Bench, *, release: float = 0.0) -> Study:
-    """Return the law of a compliant joint from the record of a release."""
+    """Return a study of a compliant joint's law from a release record."""
     study = fit_joint(release_record(bench, release=release))
     record, best = study.record, study.laws[study.chosen]
     rows = []
@@ -260,7 +260,7 @@ def study_joint(bench: Bench, *, release: float = 0.0) -> Study:
 
 
 def joint_text(law: str, params: Mapping[str, float]) -> str:
-    """Return the law of a joint as YAML, creep as elements: their stiffness times an inertia is that of a robot file."""
+    """Return a joint's law as YAML; element stiffness times an inertia is that of a robot file."""
     lines = ["joint:", f"  law: {law!r}"]
     lines += [f"  {name}: {value!r}" for name, value in params.items() if name != "release"]
     stiffness, times = creep_elements(params)
@@ -282,7 +282,7 @@ def study_hover(
     mass_std: float = 0.0,
     robot: RobotCfg | None = None,
 ) -> Study:
-    """Return the thrust coefficient from hover in flight logs."""
+    """Return a study of the thrust coefficient from hover in flight logs."""
     logs = [read_flight_log(path, mapping=layout) for path in paths]
     declared = None if robot is None else robot.the_rotor("identify hover").thrust_map
     fit = fit_hover(logs, mass=mass, mass_std=mass_std, declared=declared)
@@ -320,7 +320,7 @@ def study_balance(
     repeats: Sequence[Path] = (),
     added_mass: float | None = None,
 ) -> Study:
-    """Return what the shares of the rotors at hover say about the cause of a change against a baseline."""
+    """Return a study of the cause of changed rotor efforts at hover against a baseline."""
     named = [path.resolve() for path in (*baseline, *flights, *test)]
     if len(set(named)) < len(named):
         raise ConfigError("a log is named twice among flights, --baseline and --test; each has one part to play")

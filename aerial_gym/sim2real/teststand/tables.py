@@ -1,4 +1,4 @@
-"""CSV tables of a test bench: which column is which quantity, in which unit, and whether the numbers can be true.
+"""CSV tables of a test stand: identification of columns and units, and plausibility checks.
 
 Letters: T rows.
 """
@@ -20,7 +20,7 @@ UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
     "angle": {"rad": 1.0, "deg": np.pi / 180.0},
 }
-"""What a value in that unit is multiplied by to be SI, by kind of quantity."""
+"""Factors to SI units by kind of quantity."""
 
 _SPEED = {
     "rad/s": ("omega", "speed", "rotor_speed", "{}_rad_s"),
@@ -32,7 +32,7 @@ _TORQUE = {"N m": ("torque", "moment", "{}_nm"), "mN m": ("{}_mnm", "{}_nmm"), "
 
 
 def _spelled(patterns: Mapping[str, Sequence[str]], stems: Sequence[str]) -> dict[str, str]:
-    """Return the unit by column name in lower case; ``{}`` in a pattern stands for each stem."""
+    """Return the unit by lower-case column name; ``{}`` in a pattern stands for each stem."""
     return {p.format(stem): unit for unit, texts in patterns.items() for p in texts for stem in stems}
 
 
@@ -53,19 +53,19 @@ KNOWN: dict[str, tuple[str, dict[str, str]]] = {
     ),
     "angle": ("angle", {"elevation_rad": "rad", "angle_rad": "rad", "angle": "rad"} | {"angle_deg": "deg"}),
 }
-"""Kind of unit, and unit by column name in lower case, of every quantity that a bench file may hold."""
+"""Kind of unit, and unit by lower-case column name, of every supported quantity."""
 
 
 def read_columns(path: str | Path, *, given: Mapping[str, str], units: Mapping[str, str]) -> "Bench":
-    """Return a bench table.
+    """Return the table of a test stand file.
 
     Args:
         path: CSV file with one header line.
-        given: Column by quantity where the user names it; other quantities are found by their usual names.
-        units: Unit by quantity where the user names it.
+        given: Column by quantity, as named by the user; other columns are found by their usual names.
+        units: Unit by quantity, as named by the user.
 
     Raises:
-        DataError: If there is no such file, column or unit.
+        DataError: If the file, a column or a unit is missing or unknown.
     """
     try:
         table = pd.read_csv(path, encoding="utf-8-sig", skipinitialspace=True)
@@ -85,14 +85,14 @@ def read_columns(path: str | Path, *, given: Mapping[str, str], units: Mapping[s
 
 
 class Bench:
-    """One bench file; quantities are looked up by meaning and come in SI units."""
+    """A test stand file with access to quantities by meaning, in SI units."""
 
     def __init__(self, path: str, table: pd.DataFrame, given: dict[str, str], units: dict[str, str]) -> None:
-        """Take a table and what the user said of its columns."""
+        """Store a table with the user's names of columns and units."""
         self.path, self.table, self._given, self._units = path, table, given, units
 
     def column(self, quantity: str) -> str | None:
-        """Return the column that holds a quantity; None if there is none."""
+        """Return the column of a quantity; None without one."""
         if quantity in self._given:
             return self._given[quantity]
         known = KNOWN[quantity][1]
@@ -102,7 +102,7 @@ class Bench:
         """Return a quantity in SI units, (T,).
 
         Raises:
-            DataError: If the column is missing or holds something that is no number.
+            DataError: If the column is missing, has no known unit, or holds a value that is no number.
         """
         column = self.column(quantity)
         kind, known = KNOWN[quantity]
@@ -125,15 +125,15 @@ class Bench:
 
 
 FASTEST = 12_000.0
-"""No rotor turns faster [rad/s]: 115,000 rpm, above every hobby motor."""
+"""Largest plausible rotor speed [rad/s]: 115,000 rpm, above every hobby motor."""
 
 POWER_PER_THRUST = (0.5, 120.0)
-"""Range of torque times speed over thrust at the fastest row [m/s]. It is the induced velocity, 2 to 40 m/s for rotors of
-all sizes, over the figure of merit, 0.3 to 0.8 (Leishman 2006, Principles of Helicopter Aerodynamics, section 2.8)."""
+"""Plausible range of torque times speed over thrust at the highest speed [m/s]: induced velocity, 2 to 40 m/s for all sizes,
+over the figure of merit, 0.3 to 0.8 (Leishman 2006, Principles of Helicopter Aerodynamics, section 2.8)."""
 
 
 def check_rotor_numbers(path: str, speed: Array, thrust: Array, torque: Array | None) -> None:
-    """Raise ``DataError`` for speeds, thrusts and torques that no rotor has; the message names the likely unit."""
+    """Raise ``DataError`` for implausible speeds, thrusts or torques; the message names the likely unit."""
     if np.any(speed < 0.0) or np.any(speed > FASTEST):
         raise DataError(
             f"{path}: speeds from {speed.min():.4g} to {speed.max():.4g} rad/s; must lie in [0, {FASTEST:g}]. "

@@ -1,1 +1,1 @@
-"""Joints: the record of an arm on a stand, and flights with or without logged angles."""
+"""Identification of joints from a stand record of an arm, and from flights with or without logged angles."""

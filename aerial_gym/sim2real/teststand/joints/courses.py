@@ -1,7 +1,7 @@
-"""What joints must have given in a flight in which their angles were logged: inverse dynamics of the declared links.
+"""Joint efforts in a flight with logged joint angles, by inverse dynamics of the declared links.
 
-The rows of the joints in ``M a + h = f``, with the measured motion of base and joints, and the thrusts of the rotors. All
-signals are low-passed alike, twice, so that derivatives are of the same band. Letters: T rows, D joints.
+The efforts are the joint rows of ``M a + h = f`` for the measured motion and rotor thrusts. All signals pass the same low-pass
+twice, so derivatives have the same band. Letters: T rows, D joints.
 """
 
 from dataclasses import dataclass
@@ -31,34 +31,34 @@ from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import edge_rows, interpolated, lowpass, uniform_log
 
 SLOW = 0.05
-"""Share of its rms below which a rate counts less for dry friction: v."""
+"""Velocity scale v of dry friction, as a share of the joint rate's standard deviation."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Course:
-    """What the joints of one flight did."""
+    """Motion and efforts of the joints in one flight."""
 
     name: str
     angle: Array
-    """[rad], (T, D)."""
+    """Joint angles [rad], (T, D)."""
 
     rate: Array
-    """[rad/s], (T, D)."""
+    """Joint rates [rad/s], (T, D)."""
 
     side: Array
-    """To which they move, -1 to 1, low-passed as the effort is, (T, D)."""
+    """Low-passed direction of motion, -1 to 1, (T, D)."""
 
     effort: Array
-    """That they must have given [N m], (T, D)."""
+    """Joint efforts from inverse dynamics [N m], (T, D)."""
 
 
 def read_course(path: Path, robot: RobotCfg, *, bandwidth: float) -> Course:
-    """Return what the joints did in a log of the package's own layout.
+    """Return the joint motion and efforts of a log in the package's own layout.
 
-    It has columns ``joint_NAME``, or ``joint_1`` to ``joint_D``, of angles [rad] or ways [m].
+    The log has columns ``joint_NAME``, or ``joint_1`` to ``joint_D``, with angles [rad] or displacements [m].
 
     Raises:
-        DataError: If the log does not hold what is needed.
+        DataError: If the log lacks required data.
     """
     assert robot.joints is not None
     log = uniform_log(read_flight_log(path))
@@ -76,13 +76,13 @@ def read_course(path: Path, robot: RobotCfg, *, bandwidth: float) -> Course:
 
 
 def course_of(robot: RobotCfg, log: FlightLog, angle: Array, *, bandwidth: float) -> Course:
-    """Return what joints at logged angles [rad], (T, D), must have given.
+    """Return the joint motion and efforts for logged joint angles [rad], (T, D).
 
     Args:
-        robot: As declared.
-        log: Of equal time steps.
-        angle: At its rows.
-        bandwidth: Of the low-pass [Hz].
+        robot: Declared robot.
+        log: Log at equal time steps.
+        angle: Joint angles at the log's rows.
+        bandwidth: Bandwidth of the low-pass [Hz].
 
     Raises:
         DataError: If the log has neither accelerometer nor velocity, no gyro, or no rotors.
@@ -131,10 +131,10 @@ def course_of(robot: RobotCfg, log: FlightLog, angle: Array, *, bandwidth: float
 
 
 def checked_rate(log: FlightLog, bandwidth: float) -> float:
-    """Return the rows per second of a log, if it is fast enough and has what tells how the body moved.
+    """Return the sample rate of a log; raise ``DataError`` if it is too low or the body's motion is missing.
 
     Raises:
-        DataError: If not.
+        DataError: If the rate is below five bandwidths, or gyro or both accelerometer and velocity are missing.
     """
     rate = 1.0 / float(np.median(np.diff(log.time)))
     if rate < 5.0 * bandwidth:
@@ -147,7 +147,7 @@ def checked_rate(log: FlightLog, bandwidth: float) -> float:
 
 
 def _efforts(robot: RobotCfg, state: TreeState, rotors: torch.Tensor, acc: torch.Tensor) -> torch.Tensor:
-    """Return the efforts of joints (T, D) for a motion and its accelerations (T, 6 + D): inverse dynamics."""
+    """Return the joint efforts (T, D) for a motion and its accelerations (T, 6 + D), by inverse dynamics."""
     model, links, wrench = pushed_links(robot, state, rotors)
     articulation = model.articulation
     assert articulation is not None
@@ -162,14 +162,14 @@ def _efforts(robot: RobotCfg, state: TreeState, rotors: torch.Tensor, acc: torch
 
 
 def pushed_links(robot: RobotCfg, state: TreeState, rotors: torch.Tensor) -> tuple[Model, Links, torch.Tensor]:
-    """Return a robot that bends, its links in T rows, and what rotors and effects do to each, (T, L, 6).
+    """Return the articulated model, its links, and the wrenches of rotors and effects on each link, (T, L, 6).
 
-    But drag of links, and the fluid that they set in motion, which depend on more.
+    Link drag and entrained fluid are excluded, as they depend on further quantities.
 
     Args:
-        robot: As declared.
+        robot: Declared robot.
         state: Motion of base and joints.
-        rotors: States of the rotors, (T, R).
+        rotors: Rotor states, (T, R).
     """
     num_rows = len(rotors)
     vehicle = vehicle_from_config(robot, num_envs=num_rows, dtype=torch.float64)
@@ -182,7 +182,7 @@ def pushed_links(robot: RobotCfg, state: TreeState, rotors: torch.Tensor) -> tup
 
 
 def rotor_states(robot: RobotCfg, log: FlightLog) -> Array:
-    """Return measured states of the rotors (T, R), or those that follow commands by the declared lag."""
+    """Return the measured rotor states (T, R), or the commands with the declared lag."""
     if log.rotor_speed is not None:
         return log.rotor_speed
     if log.rotor_command is None:

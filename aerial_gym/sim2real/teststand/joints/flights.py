@@ -1,7 +1,7 @@
-"""The identification of joints from flights, from files to findings, a study with tables, and a robot file.
+"""Identification of joints from flights: fits, tables and a corrected robot file.
 
-Where logs have the angles of the joints these are fitted joint by joint (``flown_joints``), where none has any all at once by
-what the body felt (``hidden_joints``).
+With logged joint angles, each joint is fitted separately (``flown_joints``). Without any, all are fitted together to the
+body's motion (``hidden_joints``).
 """
 
 from collections.abc import Sequence
@@ -28,33 +28,33 @@ from aerial_gym.sim2real.teststand.report import Study, Table
 from aerial_gym.sim2real.teststand.studies import change, interval
 
 BANDWIDTH_HZ = 15.0
-"""Below which joints are looked for if nothing else is said [Hz]."""
+"""Default bandwidth of the identification [Hz]."""
 
 OF_RATE = 0.199
-"""Highest band as a share of the logs' rate: a fifth, less what their times are off."""
+"""Largest bandwidth as a share of the log rate: a fifth, with a margin for time errors."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FoundJoints:
-    """What flights say of the joints of a robot."""
+    """Results for the joints of a robot."""
 
     joints: tuple[FoundJoint, ...]
     logged: tuple[FlownJoint, ...]
-    """In full, where angles were logged."""
+    """Full results per joint with logged angles."""
 
     channels: dict[str, tuple[Rms, Rms]]
-    """Errors of what the body felt before and after, where they were not."""
+    """Errors of the body's motion before and after, without logged angles."""
 
     left_out: tuple[Finding, ...]
 
     @property
     def named(self) -> tuple[FoundJoint, ...]:
-        """Return those that differ from what is declared."""
+        """Return the joints that differ from their declaration."""
         return tuple(joint for joint in self.joints if joint.changed)
 
     @property
     def notes(self) -> tuple[Finding, ...]:
-        """Return the joints that are left out, and the errors before and after."""
+        """Return findings on joints left out, and on the errors before and after."""
         efforts = [
             {"before_n_m": one.declared.value, "after_n_m": one.laws[one.chosen].error.value} for one in self.logged
         ]
@@ -66,11 +66,11 @@ class FoundJoints:
         return (*self.left_out, *errors)
 
     def as_mapping(self) -> dict[str, object]:
-        """Return it for JSON."""
+        """Return the values for JSON."""
         return {"joints": plain(self.logged or self.joints), **fields_of(self, "left_out", "channels")}
 
     def corrected(self, robot: RobotCfg, source: str) -> RobotCfg:
-        """Return the robot with what has changed in its joints."""
+        """Return the robot with corrected joint springs."""
         if robot.joints is None or not self.named:
             return robot
         springs = {joint.name: joint.spring for joint in self.named}
@@ -78,7 +78,7 @@ class FoundJoints:
         return replace(robot, joints=replace(robot.joints, layout=layout, source=f"{robot.joints.source}; {source}"))
 
     def told_in(self, judged: Judged) -> Judged:
-        """Return the verdict and the corrected robot with these joints."""
+        """Return the result of the closed loop with these joints in its verdict and robot."""
         kind = judged.verdict.verdict
         verdict = replace(
             judged.verdict,
@@ -95,11 +95,11 @@ class FoundJoints:
 def find_joints(
     robot: RobotCfg, flights: Sequence[Path], *, bandwidth: float = BANDWIDTH_HZ, progress: Progress = silent
 ) -> FoundJoints:
-    """Return what flights in logs of the package's own layout say of the passive joints of a robot.
+    """Return the passive joints' parameters fitted to logs in the package's own layout.
 
     Raises:
-        ConfigError: If the robot has no joints, or one that cannot be fitted without the angles of all.
-        DataError: If a log does not hold what is needed.
+        ConfigError: If the robot has no joints, or one that requires logged angles.
+        DataError: If a log lacks required data.
     """
     joints_of(robot)
     if any(_has_angles(path) for path in flights):
@@ -137,7 +137,7 @@ def _in_short(robot: RobotCfg, joint: FlownJoint) -> FoundJoint:
 def study_flown_joints(
     robot: RobotCfg, flights: Sequence[Path], *, bandwidth: float, progress: Progress = silent
 ) -> Study:
-    """Return the laws of the passive joints of a robot from flights; raises what ``find_joints`` does."""
+    """Return a study of the passive joints' laws from flights; raises the errors of ``find_joints``."""
     found = find_joints(robot, flights, bandwidth=bandwidth, progress=progress)
     names = ", ".join(path.name for path in flights)
     corrected = found.corrected(robot, f"aerial-gym identify joints: {names}")

@@ -1,12 +1,12 @@
-"""Springs, dampers and dry friction of joints from flights in which the angles of the joints were logged.
+"""Springs, dampers and dry friction of joints from flights with logged joint angles.
 
-What a joint must have given is known from the motion (``joint_courses``), and is fitted by laws of the joint's angle and rate::
+The joint effort follows from the motion (``joint_courses``) and is fitted by laws of the joint's angle and rate::
 
     effort = preload - (k + k2 |q - rest|) (q - rest) - c q' - F s,    s = low-passed q' / sqrt(q'² + v²)
 
-with q' of the widest band that the log has. Where a joint is held by dry friction its effort is anything up to F: rows in which
-it does not move to one side for the whole span of the low-pass are left out.
-Masses of links, places of joints and thrusts are taken as declared: an error of a link's inertia of 1 % is one of 1 % here.
+with q' in the widest band of the log. In stiction the effort may be anything up to F, so rows without motion to one side over
+the low-pass's whole span are excluded.
+Link masses, joint positions and thrusts are as declared: a relative error of a link's inertia appears equally here.
 Letters: T rows, D joints, K parameters.
 """
 
@@ -36,37 +36,37 @@ from aerial_gym.sim2real.teststand.statistics import (
 )
 
 CLEAR = 0.8
-"""Size of s from which a joint moves to one side for long enough."""
+"""Least |s| of rows with continuous motion to one side."""
 
 MATERIAL = 0.02
-"""A number differs from a declared one if that makes so large a share of the effort's spread, or more."""
+"""Least share of the effort's standard deviation in which a material change of a parameter results."""
 
 LAWS: dict[str, tuple[str, ...]] = {
     "linear spring": ("stiffness", "damping", "rest"),
     "linear spring, friction": ("stiffness", "damping", "rest", "friction"),
     "quadratic spring": ("quadratic", "damping", "rest", "preload"),
 }
-"""Parameters of each candidate: stiffness [N m/rad], quadratic [N m/rad²], damping [N m s/rad], rest [rad], others [N m]."""
+"""Parameters of each law: stiffness [N m/rad], quadratic [N m/rad²], damping [N m s/rad], rest [rad], others [N m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FoundJoint:
-    """What flights say of a joint, whether its angle was logged or not."""
+    """Result for one joint, with or without logged angles."""
 
     name: str
     changed: tuple[str, ...]
-    """What of it differs from what is declared, by the 95 % intervals."""
+    """Parameters that differ significantly (95 %) and materially from the declared ones."""
 
     declared: dict[str, float]
     params: dict[str, Estimate]
-    """By the names of ``SpringCfg``."""
+    """Fitted parameters by the names of ``SpringCfg``."""
 
     spring: SpringCfg
-    """For the robot file."""
+    """Spring for the robot file."""
 
     @property
     def finding(self) -> Finding:
-        """Return the numbers that differ from the declared ones."""
+        """Return a finding with the parameters that differ from the declared ones."""
         numbers = [
             {"name": name, "value": self.params[name].value, "declared": self.declared[name]}
             for name in self.changed
@@ -75,40 +75,40 @@ class FoundJoint:
         return Finding("joint_found", self.name, {"numbers": numbers, "changed": list(self.changed)})
 
     def as_mapping(self) -> dict[str, object]:
-        """Return it for JSON."""
+        """Return the values for JSON."""
         return fields_of(self, "name", "changed", "declared", "params")
 
 
 @dataclass(frozen=True, kw_only=True)
 class LawFit:
-    """One candidate for one joint."""
+    """Fit of one law to one joint."""
 
     name: str
     params: dict[str, Estimate]
     error: Rms
-    """Of efforts that the fit has not seen [N m]."""
+    """RMS held-out error of the effort [N m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlownJoint:
-    """What the flights say of a joint."""
+    """Fits of all laws to one joint with logged angles."""
 
     name: str
     declared: Rms
-    """Error of the declared law [N m]."""
+    """RMS error of the declared law [N m]."""
 
     laws: dict[str, LawFit]
     chosen: str
     changed: tuple[str, ...]
-    """What of it differs from what is declared, by the 95 % intervals."""
+    """Parameters that differ significantly (95 %) and materially from the declared ones."""
 
     spring: SpringCfg
-    """For the robot file: the chosen law where something has changed, else the declared one."""
+    """Spring for the robot file: the chosen law if anything differs, else the declared one."""
 
     rows: int = field(default=0)
 
     def as_mapping(self) -> dict[str, object]:
-        """Return it for JSON."""
+        """Return the values for JSON."""
         return {
             **fields_of(self, "name", "changed", "chosen", "rows"),
             "before": self.declared.as_mapping(),
@@ -127,7 +127,7 @@ def joints_of(robot: RobotCfg) -> JointsCfg:
 
 
 def fit_flown_joints(robot: RobotCfg, courses: Sequence[Course]) -> tuple[list[FlownJoint], list[Finding]]:
-    """Return every passive joint fitted to all flights, and the joints that are left out with the reason.
+    """Return the fits of all passive joints to all flights, and findings on joints left out.
 
     Raises:
         ConfigError: If the robot is rigid.
@@ -142,7 +142,7 @@ def fit_flown_joints(robot: RobotCfg, courses: Sequence[Course]) -> tuple[list[F
 
 
 def unfit(joint: JointCfg) -> Finding | None:
-    """Return the reason why a joint is left out; None if it is not."""
+    """Return a finding on the reason why a joint cannot be fitted; None if it can."""
     if joint.drive is not None:
         return Finding("joint_driven", joint.name)
     return Finding("joint_creeps", joint.name) if joint.spring and joint.spring.creep else None
@@ -200,7 +200,7 @@ def _declared_effort(spring: SpringCfg, angle: Array, rate: Array, side: Array) 
 
 
 def _fit_law(name: str, angle: Array, rate: Array, side: Array, effort: Array, fold: Indices) -> LawFit:
-    """Return a law fitted to all rows, with its error on folds left out."""
+    """Return a law fitted to all rows, with its error on left-out folds."""
     if name == "quadratic spring":
         params, left = _fit_quadratic(angle, rate, effort, fold)
         return LawFit(name=name, params=params, error=held_out_error(left, fold))
@@ -242,9 +242,9 @@ def _fit_quadratic(angle: Array, rate: Array, effort: Array, fold: Indices) -> t
 
 
 def _changes(declared: SpringCfg, law: LawFit, least: dict[str, float]) -> tuple[str, ...]:
-    """Return the numbers of a declared law that lie outside the intervals of a fitted one, by at least so much.
+    """Return the parameters whose declared values lie outside the fitted intervals, by at least ``least``.
 
-    ``law`` if the fitted one is another law.
+    The result is ``law`` if the fitted law is of another kind.
     """
     linear = declared.quadratic == 0.0
     if linear != (law.name != "quadratic spring"):

@@ -1,11 +1,10 @@
-"""Springs, dampers and dry friction of joints from flights in which nobody logged their angles: the body feels arms that swing.
+"""Springs, dampers and dry friction of joints from flights without logged angles, by the reaction of the body.
 
-The joints of the declared links swing as they must have (``swing``), and what the body then feels, its specific force and
-angular acceleration, is compared with what its sensors felt, in one band. The numbers of all joints are fitted at once by
-Gauss-Newton steps, beside a constant error of each channel in each flight and a scale of all thrusts.
-Masses of links and places of joints are taken as declared. A joint shows itself by its swing alone: where none is excited, its
-intervals say so.
-Letters: F flights, N rows that are compared, D joints, P numbers of all joints.
+The joints of the declared links are simulated (``swing``). The predicted specific force and angular acceleration of the body
+are compared with its sensors in one band. Gauss-Newton steps fit the parameters of all joints together, with a constant error
+per channel and flight and a common thrust scale.
+Link masses and joint positions are as declared. A joint without excitation has wide intervals.
+Letters: F flights, N compared rows, D joints, P parameters of all joints.
 """
 
 from collections.abc import Sequence
@@ -31,34 +30,34 @@ from aerial_gym.sim2real.teststand.joints.swing import CHANNELS, SETTLE_S, Laws,
 from aerial_gym.sim2real.teststand.statistics import correlated_covariance, estimates, held_out_error, parts_of
 
 LEAST_ROWS = 50
-"""That must be left of a flight."""
+"""Least number of compared rows per flight."""
 
 MOST_STEPS = 8
 NEAR = 0.1
-"""A step below this share of a material change is the last one."""
+"""Convergence limit of a step as a share of a material change."""
 
 NO_ENDS = {"low": -np.inf, "high": np.inf, "stiffness": 0.0, "damping": 0.0}
 
 NUMBERS = {False: ("stiffness", "damping", "rest", "friction"), True: ("quadratic", "damping", "rest")}
-"""What is fitted of a joint, by whether its declared spring is quadratic."""
+"""Fitted parameters of a joint, by whether its declared spring is quadratic."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HiddenFit:
-    """All joints, fitted to what the body felt."""
+    """Fit of all joints to the body's motion."""
 
     joints: tuple[FoundJoint, ...]
     channels: dict[str, tuple[Rms, Rms]]
-    """Error of each channel on flights, or parts of the only one, that are left out: with the declared numbers, and fitted."""
+    """Error of each channel on left-out flights or folds, with declared and with fitted parameters."""
 
 
 def fit_hidden_joints(
     robot: RobotCfg, rides: Sequence[Ride], *, bandwidth: float, progress: Progress = silent
 ) -> HiddenFit:
-    """Return every joint fitted to what the body felt in all flights.
+    """Return the fit of all joints to the body's motion in all flights.
 
     Raises:
-        ConfigError: If the robot is rigid, or has a joint whose effort nobody knows.
+        ConfigError: If the robot is rigid, or has a joint with unknown effort.
         DataError: If a flight is too short.
     """
     if left_out := [reason for joint in joints_of(robot).layout if (reason := unfit(joint))]:
@@ -70,7 +69,7 @@ def fit_hidden_joints(
 
 
 class _Fit:
-    """Gauss-Newton steps from the declared numbers."""
+    """Gauss-Newton fit that starts at the declared parameters."""
 
     def __init__(self, robot: RobotCfg, rides: Sequence[Ride], bandwidth: float) -> None:
         self.joints, self.swing = joints_of(robot).layout, Swing(robot, rides, bandwidth=bandwidth)
@@ -88,7 +87,7 @@ class _Fit:
         self.fold = parts_of([rows.size for rows in self.kept])
 
     def run(self, progress: Progress) -> HiddenFit:
-        """Return the fit."""
+        """Return the converged fit."""
         progress("joints as declared", 0.05)
         angle, rate = self.swing.run(self.laws(self.declared[None]), torch.ones(1).double())[1:]
         self.slow = (SLOW * rate.flatten(0, 1).std(0, keepdim=True)).clamp_min(1e-9)
@@ -114,7 +113,7 @@ class _Fit:
         return self.result(before, found, unit)
 
     def laws(self, numbers: Array) -> Laws:
-        """Return the laws of sets of numbers, (B, P)."""
+        """Return the joint laws for parameter sets (B, P)."""
         stated = {
             name: torch.tensor([[getattr(spring, name) for spring in self.springs]] * len(numbers), dtype=torch.float64)
             for name in ("stiffness", "quadratic", "damping", "friction", "rest", "preload")
@@ -129,7 +128,7 @@ class _Fit:
         return Laws(spring=Spring(**stated), ends=Limits(**bounds), friction=friction, slow=self.slow * like)
 
     def material(self, angle: Tensor, rate: Tensor) -> Array:
-        """Return the change of each number that makes ``MATERIAL`` of the spread of its joint's effort, (P,)."""
+        """Return the change of each parameter that changes its joint's effort by the share ``MATERIAL`` of its spread, (P,)."""
         laws = self.laws(self.declared[None])
         flat = angle.flatten(0, 1), rate.flatten(0, 1)
         spring, away = laws.spring.effort_at(*flat), flat[0] - laws.spring.rest
@@ -146,7 +145,7 @@ class _Fit:
         return np.array([MATERIAL * float(effort[k] / sizes[name][k].clamp_min(1e-12)) for k, name in self.owners])
 
     def linear(self, numbers: Array, thrust: float, unit: Array) -> tuple[Array, Array]:
-        """Return what is felt less what should be, (N, 6), and how that changes, (N, 6, P + 1), without constant errors."""
+        """Return the residual (N, 6) and its columns (N, 6, P + 1), per material change or thrust scale, without mean."""
         sets = np.concatenate((numbers[None], numbers + np.diag(unit), numbers[None]))
         scale = torch.full((len(sets),), thrust, dtype=torch.float64)
         scale[-1] = scale[-1] + MATERIAL
@@ -161,7 +160,7 @@ class _Fit:
         return np.concatenate(residual), columns
 
     def best(self, residual: Array, columns: Array, here: Array) -> Array:
-        """Return the step of numbers, in units of what is material, and of the thrust."""
+        """Return the bounded Gauss-Newton step: parameters in units of material changes, then the thrust scale."""
         width = columns.shape[-1]
         flat, left = columns.reshape(-1, width), residual.reshape(-1)
         low, high = np.full(width, -np.inf), np.full(width, np.inf)
@@ -172,7 +171,7 @@ class _Fit:
         return minimum_within(a, (flat / size).T @ left, low * size, high * size) / size
 
     def result(self, before: tuple[Array, Array], found: tuple[Array, Array, Array, Array], unit: Array) -> HiddenFit:
-        """Return numbers with intervals, what differs, and errors on what is left out."""
+        """Return the parameters with intervals, the significant changes, and the held-out errors."""
         residual, columns, weight, numbers = found
         rows = np.moveaxis(columns * weight[:, None], 1, 0).reshape(-1, columns.shape[-1])
         left = (residual * weight).T.reshape(-1)
@@ -201,12 +200,12 @@ class _Fit:
         return HiddenFit(joints=tuple(joints), channels=dict(zip(CHANNELS, errors, strict=True)))
 
     def held_out(self, residual: Array, columns: Array, weight: Array) -> list[Rms]:
-        """Return the error of each channel on parts that are left out, of a fit that is linear about this one."""
+        """Return the cross-validation error of each channel, from linear fits about this one."""
         left, width = np.empty_like(residual), columns.shape[-1]
         for number in np.unique(self.fold):
             out = self.fold == number
             rows = (columns[~out] * weight[:, None]).reshape(-1, width)
             step = np.linalg.lstsq(rows, (residual[~out] * weight).reshape(-1), rcond=None)[0]
             left[out] = residual[out] - columns[out] @ step
-            left[out] -= left[out].mean(axis=0)  # its own constant error is not in the others
+            left[out] -= left[out].mean(axis=0)  # a flight's own constant error
         return [held_out_error(channel, self.fold) for channel in left.T]

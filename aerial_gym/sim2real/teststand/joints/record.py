@@ -1,6 +1,6 @@
-"""The compliant joint of a folding arm after its load is let go: springs, and creep of a visco-elastic material.
+"""Compliant joint of a folding arm after release of a load: spring laws with viscoelastic creep.
 
-Everything is per unit of the joint's inertia. Letters: T rows, N creep elements, K parameters.
+All parameters are per unit of the joint's inertia. Letters: T rows, N creep elements, K parameters.
 """
 
 from collections.abc import Mapping
@@ -25,17 +25,17 @@ from aerial_gym.sim2real.teststand.statistics import (
 from aerial_gym.sim2real.teststand.tables import Bench
 
 PUBLISHED = {"stiffness": 5834.85, "damping": 229.24, "rest": 0.12566}
-"""Quadratic spring of the Aerial Gym Simulator 2.0.1 for Morphy [1/(rad s²)], [1/s], [rad]: robots/morphy.py."""
+"""Quadratic spring of Morphy in the Aerial Gym Simulator 2.0.1 [1/(rad s²)], [1/s], [rad]: robots/morphy.py."""
 
 BLOCK_EDGES_S = (0.0, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0)
-"""Blocks that are left out in turn begin here after the release [s]: early ones are short, so that the first moments count."""
+"""Starts of the left-out blocks after the release [s]; early blocks are short, to weight the first moments."""
 
 ALTERNATE_S = 0.06
-"""Length of the blocks of which every second one is fitted [s]: a swing of the arm, 2 pi over 103 rad/s. A block that is left
-out, the first among them, is then told by none of the rows that show that swing."""
+"""Length of alternating blocks [s], every second one fitted: one period of the arm, 2 pi over 103 rad/s. A left-out block
+thus shares no row of the same swing with the fit."""
 
 POWER_TIMES = tuple(10.0 ** (0.5 * k) for k in range(-6, 4))
-"""Of the elements that stand for a power law [s]: two a decade, from less than a row takes to longer than a record."""
+"""Time constants of the elements that approximate a power law [s]: two per decade, beyond sample time and record."""
 
 BOUNDS: dict[str, tuple[float, float, float]] = {
     "release": (0.003, -0.005, 0.01),
@@ -52,7 +52,7 @@ BOUNDS: dict[str, tuple[float, float, float]] = {
     "creep": (1000.0, 1.0, 1e5),
     "exponent": (0.3, -1.0, 2.0),
 }
-"""First guess, lower and upper bound. Release and times [s], stiffness and creep [1/s²] (quadratic: [1/(rad s²)]), damping
+"""Initial value, lower and upper bound: release and times [s], stiffness and creep [1/s²] (quadratic: [1/(rad s²)]), damping
 [1/s], rest [rad]."""
 
 LAWS: dict[str, tuple[str, ...]] = {
@@ -69,35 +69,35 @@ LAWS: dict[str, tuple[str, ...]] = {
     ),
     "linear spring, power-law creep": ("stiffness", "damping", "rest", "creep", "exponent"),
 }
-"""Parameters of each candidate; the moment of release is fitted with every one."""
+"""Parameters of each law; the time of release is fitted as well."""
 
 SHOWN_SPANS_S = ((0.0, 1.0), (1.0, np.inf))
-"""Errors are told for the first second and for the rest."""
+"""Time spans with separate errors: the first second and the rest."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Release:
-    """One record: the arm rests under a load, which is let go at time 0."""
+    """Record of an arm at rest under a load that is released at time 0."""
 
     path: str
     time: Array
-    """From the release on [s], (T,)."""
+    """Time from the release [s], (T,)."""
 
     angle: Array
-    """[rad], (T,)."""
+    """Joint angle [rad], (T,)."""
 
     start: float
     """Angle before the release [rad]."""
 
     @property
     def block(self) -> Indices:
-        """Number of the block of each row, (T,)."""
+        """Block number of each row, (T,)."""
         return np.searchsorted(np.array(BLOCK_EDGES_S), self.time, side="right")
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointFit:
-    """One candidate."""
+    """Fit of one law."""
 
     name: str
     params: dict[str, Estimate]
@@ -105,36 +105,36 @@ class JointFit:
     """Measured minus fitted [rad], (T,)."""
 
     held_out: Array = field(repr=False)
-    """Measured minus predicted by a fit without that block of time [rad], (T,)."""
+    """Measured minus predicted, from fits without that block [rad], (T,)."""
 
     block_rms: tuple[float, ...]
-    """Held-out error of each block [rad]."""
+    """RMS held-out error of each block [rad]."""
 
     @property
     def score(self) -> float:
-        """Root of the mean over blocks of the held-out mean square [rad]: the first moments count as the rest."""
+        """RMS over blocks of the held-out errors [rad], which weights the first moments like the rest."""
         return rms(np.array(self.block_rms))
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointStudy:
-    """The published law, all candidates, and the one that predicts best what it has not seen."""
+    """The published law, all fitted laws, and the one with the least held-out error."""
 
     record: Release
     published: Array = field(repr=False)
-    """Measured minus the published law, released at 0 [rad], (T,)."""
+    """Measured minus the published law, with release at 0 [rad], (T,)."""
 
     laws: dict[str, JointFit]
     chosen: str
 
     forecast: dict[str, Rms]
-    """Error on the second half of the record of fits to the first half [rad], by law."""
+    """Error in the second half of the record, from fits to the first half [rad], by law."""
 
     alternate: dict[str, Array] = field(repr=False)
-    """Measured minus predicted by a fit to the other blocks of ``ALTERNATE_S``, every second one [rad], (T,), by law."""
+    """Measured minus predicted, from fits to the alternate blocks [rad], (T,), by law."""
 
     def as_mapping(self) -> dict[str, object]:
-        """Return it for JSON."""
+        """Return the values for JSON."""
         best = self.laws[self.chosen]
         return {
             "unit": "rad",
@@ -158,17 +158,17 @@ class JointStudy:
 
 
 def spans(time: Array, error: Array) -> dict[str, float]:
-    """Return rms and largest error [rad] of a record, and rms in its first second."""
+    """Return RMS and largest error [rad] of a record, and the RMS in and after its first second."""
     early = time < SHOWN_SPANS_S[0][1]
     found = {"rms": rms(error), "rms_first_second": rms(error[early]), "largest": float(np.abs(error).max())}
     return found | {"rms_after_first_second": rms(error[~early])}
 
 
 def release_record(bench: Bench, *, release: float = 0.0) -> Release:
-    """Return the rows of a file from the release [s] on.
+    """Return the record from the release time [s] on.
 
     Raises:
-        DataError: If the record does not show the angle before the release and for a while after it.
+        DataError: If the angle before or after the release is missing, or the record is invalid.
     """
     time, angle = bench.values("time") - release, bench.values("angle")
     if np.any(np.diff(time) <= 0.0):
@@ -194,8 +194,8 @@ def release_record(bench: Bench, *, release: float = 0.0) -> Release:
 def joint_angle(record: Release, params: dict[str, float]) -> Array:
     """Return the angle [rad] that a law predicts, (T,).
 
-    ``th'' = -k e - kq |e| e - c th' - sum k_i (e - z_i)``, ``z_i' = (e - z_i) / T_i`` with ``e = th - rest``, from rest at the
-    loaded angle, at which every creep element has relaxed (``z_i = e``).
+    ``th'' = -k e - kq |e| e - c th' - sum k_i (e - z_i)``, ``z_i' = (e - z_i) / T_i`` with ``e = th - rest``. It starts at rest
+    at the loaded angle, with relaxed creep elements (``z_i = e``).
 
     Source:
         Quadratic spring: parity with the Aerial Gym Simulator 2.0.1. Creep: the generalised Maxwell model, Tschoegl (1989),
@@ -219,9 +219,9 @@ def joint_angle(record: Release, params: dict[str, float]) -> Array:
 
 
 def creep_elements(params: Mapping[str, float]) -> tuple[Array, Array]:
-    """Return stiffness k_i [1/s²] and time T_i [s] of the creep elements of a law, (N,) each.
+    """Return stiffness k_i [1/s²] and time constant T_i [s] of a law's creep elements, (N,) each.
 
-    A power law of creep stands for a material that relaxes at all times alike, ``k_i = creep (T_i / 1 s)^-exponent``.
+    A power law describes relaxation without a characteristic time: ``k_i = creep (T_i / 1 s)^-exponent``.
 
     Source:
         Power law: Bagley, Torvik (1983), A theoretical basis for the application of fractional calculus to viscoelasticity;
@@ -248,7 +248,7 @@ def _quadratic(start: float, params: dict[str, float], since: Array) -> Array:
 
 
 def fit_joint(record: Release) -> JointStudy:
-    """Return every candidate fitted to the record, judged on blocks of time left out, and the choice."""
+    """Return the fits of all laws to the record, their errors on left-out blocks, and the choice."""
     laws = {name: _fit_law(name, record) for name in LAWS}
     least = min(law.score for law in laws.values())
     chosen = min(
@@ -271,22 +271,22 @@ def fit_joint(record: Release) -> JointStudy:
 
 
 def alternate_blocks(record: Release) -> Indices:
-    """Return 0 or 1 for every row, (T,): in which of the two halves of the blocks of ``ALTERNATE_S`` it is."""
+    """Return the parity of each row's block of ``ALTERNATE_S``, 0 or 1, (T,)."""
     return (record.time / ALTERNATE_S).astype(np.int64) % 2
 
 
 def fit_rows(name: str, record: Release, kept: Flags) -> dict[str, float]:
-    """Return the parameters of a law that fit the rows ``kept``, bool (T,), of a record best; ``release`` is among them."""
+    """Return the parameters of a law fitted to the rows ``kept``, bool (T,), with ``release``."""
     return dict(zip(("release", *LAWS[name]), _fit(name, record, kept).params.tolist(), strict=True))
 
 
 def alternate_error(name: str, record: Release) -> Array:
-    """Return the residuals of all rows under the fit to the other half of the blocks [rad], (T,)."""
+    """Return the residuals of all rows, each from the fit to the other alternate blocks [rad], (T,)."""
     return left_out(alternate_blocks(record), lambda out: _fit(name, record, ~out).residual[out])
 
 
 def _fit(name: str, record: Release, kept: Flags | None = None, near: Array | None = None) -> CurveFit:
-    """Return a law fitted to the rows ``kept``, searched from the parameters ``near``."""
+    """Return a law fitted to the rows ``kept``, starting at the parameters ``near``."""
     labels = ("release", *LAWS[name])
     start, low, high = (np.array(column) for column in zip(*(BOUNDS[label] for label in labels), strict=True))
     if near is not None:

@@ -1,11 +1,9 @@
-"""Joints that swing as they must have in flights whose logs do not have their angles: what the body felt of them.
+"""Simulation of joints in flights without logged joint angles, and their reaction on the body.
 
-The motion of the body and the states of its rotors are those of the log; the declared links move under
-
-    M(q) a = f(q, q', motion, thrusts) + (0, effort(q, q')),    q'' = the joints' part of a,
-
-by Runge-Kutta steps of order 4 from row to row, and the body feels the other part of a.
-Letters: B sets of numbers, T rows, D joints, L links, E = B times the pieces of all flights.
+Body motion and rotor states come from the log. The declared links move under
+    M(q) a = f(q, q', motion, thrusts) + (0, effort(q, q')),    q'' = the joint rows of a,
+integrated by Runge-Kutta of order 4; the other rows of a are the predicted motion of the body.
+Letters: B parameter sets, T rows, D joints, L links, E = B times the segments of all flights.
 """
 
 from collections.abc import Sequence
@@ -34,45 +32,45 @@ CHANNELS = ("force x", "force y", "force z", "rotation x", "rotation y", "rotati
 """Specific force [m/s²] and angular acceleration [rad/s²]."""
 
 SETTLE_S = 2.0
-"""For which joints swing before a row counts [s]: they begin at rest."""
+"""Simulated time before the first compared row [s], as joints start at rest."""
 
 DAMPED_S, DAMPED_BY = 0.5, 0.05
-"""At first [s] they are damped by that time [s] times their stiffness, so that they come to where thrusts hold them."""
+"""Duration of extra initial damping [s], and its time constant [s] relative to stiffness, to reach equilibrium."""
 
 BENT = 0.2
-"""Angle from rest at which a quadratic spring is as stiff as steps take it to be [rad]."""
+"""Deflection at which a quadratic spring's stiffness is evaluated for the step size [rad]."""
 
 QUICKEST = 1.5
-"""Rate of a joint times a step; where it is twice that, steps of Runge and Kutta grow."""
+"""Largest product of a joint's natural frequency and the step; Runge-Kutta is unstable at about twice that."""
 
 USED_S = 2.0
-"""Rows that count of each piece of a flight [s]."""
+"""Length of the compared part of each segment [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ride:
-    """What a log says of the body that carries the joints."""
+    """Logged motion of the body that carries the joints."""
 
     name: str
     rate: float
-    """Rows per second."""
+    """Sample rate [Hz]."""
 
     base: TreeState
-    """Motion of the body; joints, whose angles are not known, stand as in the reference pose."""
+    """Motion of the body, with joints in the reference pose."""
 
     wrench: Tensor
-    """On each link, (T, L, 6)."""
+    """Wrench on each link, (T, L, 6)."""
 
     felt: Array
-    """``CHANNELS`` as measured, in the band, (T, 6)."""
+    """Measured ``CHANNELS`` in the band, (T, 6)."""
 
 
 def ride_of(robot: RobotCfg, log: FlightLog, *, bandwidth: float) -> Ride:
-    """Return what a log of equal time steps says of the body.
+    """Return the motion of the body from a log at equal time steps.
 
     Raises:
-        DataError: If it has neither accelerometer nor velocity, no gyro or no rotors, or is too slow or too short.
-        ConfigError: If links set a fluid in motion.
+        DataError: If required sensors or rotors are missing, or the log is too slow or short.
+        ConfigError: If an effect has entrained fluid on links.
     """
     if fluids := [name for name in robot.effects if isinstance(EFFECTS.get(name), LinkFluidEffect)]:
         raise ConfigError(
@@ -110,14 +108,14 @@ def ride_of(robot: RobotCfg, log: FlightLog, *, bandwidth: float) -> Ride:
 
 
 class Swing:
-    """The joints of some flights under any numbers.
+    """Simulation of the joints of some flights for any parameters.
 
-    What a joint did long ago is forgotten, so that flights are cut into pieces that swing side by side, each from ``SETTLE_S``
-    before its first row that counts.
+    Joints forget their initial state, so flights are divided into segments that are simulated side by side. Each starts
+    ``SETTLE_S`` before its first compared row.
     """
 
     def __init__(self, robot: RobotCfg, rides: Sequence[Ride], *, bandwidth: float) -> None:
-        """Take the declared robot, and flights of one rate."""
+        """Store the declared robot, and flights of one rate."""
         rates = {round(ride.rate, 6) for ride in rides}
         if len(rates) > 1:
             raise DataError(f"logs of different rates: {sorted(rates)} rows per second; identify them one by one")
@@ -132,7 +130,7 @@ class Swing:
         self._pieces = [len(range(self.warm, len(ride.wrench), used)) for ride in rides]
         places = [torch.arange(count)[None] * used + torch.arange(self.warm + used)[:, None] for count in self._pieces]
 
-        def cut(rows: Sequence[Tensor]) -> Tensor:  # a piece at the end goes on in the last row
+        def cut(rows: Sequence[Tensor]) -> Tensor:  # the last segment is padded with the last row
             return torch.cat(
                 [part[place.clamp_max(len(part) - 1)] for part, place in zip(rows, places, strict=True)], 1
             )
@@ -142,13 +140,13 @@ class Swing:
         self._wrench = cut([ride.wrench for ride in rides])
 
     def run(self, laws: "Laws", thrust: Tensor) -> tuple[list[Array], Tensor, Tensor]:
-        """Return what the body feels in the band from ``warm`` rows on, (B, T, 6) of each flight, and joints' angles and rates.
+        """Return the predicted body motion from row ``warm`` on, (B, T, 6) per flight, and the joints' angles and rates.
 
-        These, (T, pieces, D), are of the first set.
+        Angles and rates, (T, segments, D), are those of the first parameter set.
 
         Args:
-            laws: Numbers of all joints, B sets of them.
-            thrust: Scale of what rotors give, (B,).
+            laws: Joint laws with B parameter sets.
+            thrust: Scale of the rotors' wrench, (B,).
         """
         sets, pieces, dt = len(thrust), sum(self._pieces), 1.0 / self.rate
         spread = laws.each(pieces)
@@ -194,12 +192,12 @@ class Swing:
         return parts, torch.stack(angles), torch.stack(rates)
 
     def _steps(self, laws: "Laws", here: "Row") -> int:
-        """Return how many steps from row to row joints need that are so quick."""
+        """Return the number of integration steps per row that the fastest joint needs."""
         own = {name: value[:1] for name, value in here.motion.items()}
         rest = laws.spring.rest[:1]
         state = TreeState(position=own["lin_vel"], joint_pos=rest, joint_vel=torch.zeros_like(rest), **own)
         mass = equations(self._articulation.tree, self._links, state, gravity=STANDARD_GRAVITY).mass
-        ease = torch.linalg.inv(mass)[0].diagonal()[6:]  # acceleration per effort
+        ease = torch.linalg.inv(mass)[0].diagonal()[6:]  # joint acceleration per effort
         slope, damping = laws.quickest
         quickest = float(torch.maximum(damping * ease, (slope * ease).sqrt()).max())
         return max(1, ceil(quickest / self.rate / QUICKEST))
@@ -207,7 +205,7 @@ class Swing:
     def _accelerations(
         self, row: "Row", laws: "Laws", angle: Tensor, rate: Tensor, held: bool
     ) -> tuple[Tensor, Tensor]:
-        """Return what the body feels, (E, 6), and how the joints accelerate, (E, D)."""
+        """Return the body's specific force and angular acceleration, (E, 6), and the joint accelerations, (E, D)."""
         state = TreeState(position=row.motion["lin_vel"], joint_pos=angle, joint_vel=rate, **row.motion)
         found = equations(
             self._articulation.tree,
@@ -224,20 +222,20 @@ class Swing:
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """What carries and pushes the links at an instant."""
+    """Body motion and link wrenches at one instant."""
 
     motion: dict[str, Tensor]
     wrench: Tensor
 
     def towards(self, other: "Row", share: float) -> "Row":
-        """Return the instant at a share of the way to another one."""
+        """Return the linear interpolation to another instant at a share."""
         motion = {name: torch.lerp(value, other.motion[name], share) for name, value in self.motion.items()}
         return Row(motion=motion, wrench=torch.lerp(self.wrench, other.wrench, share))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Laws:
-    """What acts in all joints, for sets of numbers: tensors (B, D)."""
+    """Joint laws of several parameter sets, as tensors (B, D)."""
 
     spring: Spring
     ends: Limits
@@ -245,16 +243,16 @@ class Laws:
     """Dry friction [N m]."""
 
     slow: Tensor
-    """Rate below which it is less than whole [rad/s]: ``F q' / sqrt(q'² + slow²)``."""
+    """Velocity scale of friction [rad/s]: ``F q' / sqrt(q'² + slow²)``."""
 
     @property
     def quickest(self) -> tuple[Tensor, Tensor]:
-        """Return the most by which efforts fall with angles and with rates, (B, D): bent by ``BENT``, on the ends, and held."""
+        """Return the largest stiffness and damping, (B, D): deflected by ``BENT``, at the end stops, with extra damping."""
         slope = self.spring.stiffness + 2.0 * self.spring.quadratic * BENT
         return slope + self.ends.stiffness, self.spring.damping + self.ends.damping + DAMPED_BY * slope
 
     def each(self, count: int) -> "Laws":
-        """Return every set so many times, one after the other."""
+        """Return every parameter set repeated ``count`` times in sequence."""
 
         def spread(rows: Any) -> dict[str, Tensor]:
             return {name: value.repeat_interleave(count, dim=0) for name, value in vars(rows).items()}
@@ -267,7 +265,7 @@ class Laws:
         )
 
     def effort_at(self, angle: Tensor, rate: Tensor, *, held: bool = False) -> Tensor:
-        """Return the efforts [N m], (B, D); ``held`` as a piece begins."""
+        """Return the joint efforts [N m], (B, D); ``held``: with the initial extra damping."""
         spring = self.spring.effort_at(angle, rate)
         found = spring.value + self.ends.effort_at(angle, rate).value
         found = found - self.friction * rate / (rate.square() + self.slow.square()).sqrt()
