@@ -1,5 +1,5 @@
-"""Trees of rigid links with joints: an engine of its own beside that of rigid vehicles.
+"""Engine for trees of rigid links with joints, separate from that of rigid vehicles.
 
-``tree`` says how links hang together and what they weigh, ``motion`` where they are and how they move, ``dynamics`` how they
-accelerate, ``joint_laws`` what acts in joints, ``steppers`` how time goes on.
+``tree`` has topology and masses, ``motion`` kinematics, ``dynamics`` accelerations, ``joint_laws`` the efforts of joints, and
+``steppers`` the integrators.
 """

@@ -1,4 +1,4 @@
-"""How a vehicle bends: its tree, what acts in its joints, and where its rotors sit, from the joints of a robot file.
+"""Articulation of a vehicle: its tree, the laws of its joints, and the links of its rotors, from a robot file.
 
 A vehicle is declared in its reference pose (``config.joint``); the tree has all frames along the body's axes there.
 Letters: E environments, D joints, L = D + 1 links, R rotors, C joints with a drive, N creep elements of a joint.
@@ -20,12 +20,12 @@ from aerial_gym.physics.articulated.tree import Joint, Links, Tree
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
 UNBOUNDED = 1e9
-"""Where a joint without ends has them [rad], and the effort of a drive without limit [N m]: finite in float32."""
+"""Limit of a joint without ends [rad], and of a drive without limit [N m]; finite in float32."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Articulation:
-    """What of a vehicle is not rigid; shared by all environments."""
+    """Joints and links of a vehicle; shared by all environments."""
 
     tree: Tree  # Frames of links are along those of the base in the reference pose
     origins: Tensor  # Origins of the links from the body origin [m], body axes, reference pose, (L, 3)
@@ -58,7 +58,7 @@ class Articulation:
         return len(self.driven)
 
     def rotors_of(self, link: int) -> tuple[int, ...]:
-        """Return the numbers of the rotors that sit on a link."""
+        """Return the indices of the rotors on a link."""
         return tuple(rotor for rotor, place in enumerate(self.rotor_links) if place == link)
 
     @property
@@ -68,11 +68,11 @@ class Articulation:
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """What the entries of a joint command are called."""
+        """Names of the entries of a joint command."""
         return tuple(f"{self.names[k]} {mode}" for k, mode in zip(self.driven, self.modes, strict=True))
 
     def to(self, like: Tensor) -> "Articulation":
-        """Return it with float type and device of ``like``."""
+        """Return the articulation with float type and device of ``like``."""
 
         def moved(value: object) -> object:
             if isinstance(value, Tensor):
@@ -84,9 +84,9 @@ class Articulation:
         return replace(self, **{name: moved(value) for name, value in vars(self).items() if name != "tree"})
 
     def links(self, vehicle: Vehicle) -> Links:
-        """Return what links weigh where the whole vehicle in its reference pose weighs what ``vehicle`` does, (E, L, ...).
+        """Return the masses of links for a whole vehicle with those of ``vehicle`` in its reference pose, (E, L, ...).
 
-        Links weigh what was declared; what is drawn or changed of the whole is the base's. (1, L, ...) if it is shared.
+        Links have their declared masses, and the base has all changes of the whole. (1, L, ...) if shared.
         """
         whole = (vehicle.mass, vehicle.com, vehicle.inertia)
         mass, com, inertia = (rows[:1] for rows in whole) if all(map(is_shared, whole)) else whole
@@ -104,22 +104,22 @@ class Articulation:
 
     @property
     def num_creep(self) -> int:
-        """Number N of elements that creep in a joint, at most."""
+        """Largest number N of creep elements in a joint."""
         return len(self.creep_time)
 
     def laws(self, crept: Tensor | None) -> tuple[JointLaw, ...]:
-        """Return what acts in the joints beside their drives, where dashpots stand at ``crept``, (E, N, D)."""
+        """Return the laws of the joints without drives, for dashpots at ``crept``, (E, N, D)."""
         found: list[JointLaw] = [self.spring, self.ends]
         if crept is not None and self.num_creep:
             found.append(Creep(stiffness=self.creep_stiffness.unsqueeze(0), crept=crept))
         return tuple(found)
 
     def fresh_creep(self, num_envs: int) -> Tensor:
-        """Return dashpots that will have followed their joints where an episode begins, (E, N, D): not a number yet."""
+        """Return unset dashpots (NaN), which start at the joints' positions, (E, N, D)."""
         return self.creep_time.new_full((num_envs, *self.creep_time.shape), nan)
 
     def initialise_creep(self, crept: Tensor, joint_pos: Tensor) -> Tensor:
-        """Return dashpots at the start of a step, (E, N, D): fresh ones stand where the joints do, (E, D)."""
+        """Return dashpots at the start of a step, (E, N, D); unset ones take the joints' positions (E, D)."""
         return torch.where(crept.isnan(), joint_pos.unsqueeze(1), crept)
 
     def creep_on(self, crept: Tensor, joint_pos: Tensor, dt: float) -> Tensor:
@@ -129,11 +129,11 @@ class Articulation:
 
     @property
     def resistance(self) -> Drive | None:
-        """Dry friction; None where there is none."""
+        """Dry friction; None without friction."""
         return dry_friction(self.friction) if self.rubs else None
 
     def drive(self, command: Tensor) -> Drive | None:
-        """Return the drives under a command, (E, C); None where there are none."""
+        """Return the drives under a command, (E, C); None without drives."""
         if not self.driven:
             return None
         command = torch.minimum(torch.maximum(command, self.command_low), self.command_high)
@@ -150,16 +150,16 @@ class Articulation:
 
 
 def _shifted(inertia: Tensor, mass: Tensor, lever: Tensor) -> Tensor:
-    """Return inertias about a point from which the centres are ``lever`` away: ``J + m (l² 1 - l l^T)``."""
+    """Return inertias about a point at ``-lever`` from the centres, by the parallel axis theorem: ``J + m (l² 1 - l l^T)``."""
     square = lever.square().sum(-1)[..., None, None] * torch.eye(3, dtype=lever.dtype, device=lever.device)
     return inertia + mass[..., None, None] * (square - lever.unsqueeze(-1) * lever.unsqueeze(-2))
 
 
 def articulation_of(robot: RobotCfg, *, like: Tensor) -> Articulation | None:
-    """Return how a robot bends, in float type and on the device of ``like``; None for a rigid one.
+    """Build the articulation of a robot, with float type and device of ``like``; None for a rigid one.
 
     Raises:
-        ConfigError: If its links weigh more than all of it, leave a base that no body can be, or can move without inertia.
+        ConfigError: If the links exceed the whole mass, leave an impossible base, or have motions without inertia.
     """
     cfg = robot.joints
     if cfg is None:
@@ -218,7 +218,7 @@ def articulation_of(robot: RobotCfg, *, like: Tensor) -> Articulation | None:
 
 
 def _joint(cfg: JointCfg, parent: int, parent_origin: tuple[float, float, float]) -> Joint:
-    """Return a joint whose link stands as declared where the coordinate is ``reference``."""
+    """Return a joint whose link has the declared pose at the coordinate ``reference``."""
     offset = tuple(p - q for p, q in zip(cfg.position, parent_origin, strict=True))
     attitude = (0.0, 0.0, 0.0, 1.0)
     axis = torch.tensor(cfg.axis, dtype=torch.float64)
@@ -231,7 +231,7 @@ def _joint(cfg: JointCfg, parent: int, parent_origin: tuple[float, float, float]
 
 
 def _check_bodies(robot: RobotCfg, articulation: Articulation) -> None:
-    """Raise ``ConfigError`` where what is left for the base is no body, or a motion has no inertia."""
+    """Raise ``ConfigError`` if the remaining base is no possible body, or a motion has no inertia."""
     exact = articulation.to(torch.zeros(1, dtype=torch.float64))
 
     def rows(values: object) -> Tensor:
@@ -240,7 +240,7 @@ def _check_bodies(robot: RobotCfg, articulation: Articulation) -> None:
     carried = float(exact.link_mass.sum())
     if carried >= robot.body.mass:
         raise ConfigError(
-            f"robot: its links weigh {carried:.6g} kg, all of it {robot.body.mass:.6g} kg. body.mass is that of the whole "
+            f"robot: its links weigh {carried:.6g} kg, the whole {robot.body.mass:.6g} kg. body.mass is that of the whole "
             "vehicle: the base must weigh something"
         )
     whole = _Whole(mass=rows(robot.body.mass), com=rows(robot.body.com), inertia=rows(robot.body.inertia))
@@ -249,7 +249,7 @@ def _check_bodies(robot: RobotCfg, articulation: Articulation) -> None:
     moments = torch.linalg.eigvalsh(left)
     if moments[0] < 0.0 or moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-6):
         raise ConfigError(
-            f"robot: what the links leave of body.inertia for the base has principal moments {moments.tolist()} kg m², which "
+            f"robot: body.inertia without the links leaves a base with principal moments {moments.tolist()} kg m², which "
             "no body has. body.inertia is that of the whole vehicle in its reference pose, about its centre of mass"
         )
     held = (exact.spring.stiffness + exact.spring.damping)[0] + exact.creep_stiffness.sum(0) > 0.0
@@ -258,7 +258,7 @@ def _check_bodies(robot: RobotCfg, articulation: Articulation) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class _Whole:
-    """Of a vehicle, what its links are worked out from."""
+    """Mass properties of a whole vehicle, from which those of its base follow."""
 
     mass: Tensor
     com: Tensor

@@ -1,8 +1,8 @@
 """Drives with limits and dry friction at the end of a step: one mixed complementarity problem.
 
-A drive gives what its law asks for at the end of the step, within its limit. Dry friction is such a drive to the rate 0. With
-the rates v of the joints at the end, their rates without these laws v_0, and the positive definite matrix B that a step puts
-between efforts and rates:
+A drive gives the effort of its law at the end of the step, within its limit. Dry friction is such a drive to the rate 0. With
+the rates v of the joints at the end, their rates v_0 without these laws, and the positive definite matrix B of a step between
+efforts and rates:
 
     B (v - v_0) = sum_i clamp(a_i - b_i v, -limit_i, limit_i),    b_i >= 0.
 
@@ -28,7 +28,7 @@ ROUNDS = 12
 """Rounds of Newton's method; snakes of ten joints under random commands take at most 6."""
 
 TOLERANCE = 1e-6
-"""Share of a limit by which an effort may miss its law before it is held as it is; float32 rounding leaves less."""
+"""Tolerance of an effort against its law, as a share of the limit, before it is held constant; above float32 rounding."""
 
 EffortStep = Callable[[Effort], TreeState]
 """A step under efforts of joints taken at its end."""
@@ -36,14 +36,14 @@ EffortStep = Callable[[Effort], TreeState]
 
 @dataclass(frozen=True, kw_only=True)
 class Bounded:
-    """What bounded laws do through a step, each tensor (K, E, D)."""
+    """State of bounded laws over a step, each tensor (K, E, D)."""
 
     side: Tensor  # 1 or -1 where a law is at its limit, by the sign of its effort; else 0
     effort: Tensor  # Effort in rows where `is_held` is true [N m] or [N]
     is_held: Tensor  # Whether `effort` is applied as it is, in place of the law or its limit, (1, E, 1)
 
     def effort_at(self, laws: Sequence[Drive], position: Tensor, rate: Tensor) -> Sequence[Effort]:
-        """Return the efforts of the laws from a motion (E, D) on."""
+        """Return the efforts of the laws at a motion (E, D)."""
         found = []
         for law, side, effort in zip(laws, self.side, self.effort, strict=True):
             own, held = law.effort_at(position, rate, side), self.is_held[0]
@@ -82,7 +82,7 @@ class BoundedProblem:
         return torch.stack([law.limit.expand_as(self.state.joint_pos) for law in self.laws])
 
     def effort_demand(self, position: Tensor, rate: Tensor) -> Tensor:
-        """Return the efforts that the laws ask for at positions and rates (E, D), beyond their limits or not, (K, E, D)."""
+        """Return the unlimited efforts of the laws at positions and rates (E, D), (K, E, D)."""
         return torch.stack([law.effort_demand(position, rate).expand_as(position) for law in self.laws])
 
     def side(self, wanted: Tensor) -> Tensor:
@@ -90,7 +90,7 @@ class BoundedProblem:
         return torch.stack([law.side(own) for law, own in zip(self.laws, wanted, strict=True)])
 
     def total(self, bounded: Bounded) -> Effort:
-        """Return the effort of all laws of the joints, bounded or not."""
+        """Return the total effort of all joint laws, bounded and unbounded."""
         found = self.acts
         for effort in bounded.effort_at(self.laws, self.state.joint_pos, self.state.joint_vel):
             found = found + effort
@@ -98,10 +98,9 @@ class BoundedProblem:
 
     @torch.no_grad()
     def solve(self, step: EffortStep, guess: TreeState) -> Bounded:
-        """Return the solution; ``guess`` is a motion whose limited laws are tried first.
+        """Solve the problem; the first round uses the limited laws of the motion ``guess``.
 
-        A row that is not solved within the rounds has its efforts held within the limits, and friction that pushes along
-        the motion is left out, so no row exceeds a limit.
+        An unsolved row gets constant efforts within the limits, without friction along the motion, so no row exceeds a limit.
         """
         wanted = self.effort_demand(guess.joint_pos, guess.joint_vel)
         at = self._tangent_step(step, self.side(wanted))
@@ -118,9 +117,9 @@ class BoundedProblem:
         return self._within_limits(step, at.wanted, solved)
 
     def _is_done(self, solved: Tensor) -> bool:
-        """Return whether all rows are solved; a GPU, on which reading that would wait, always goes through all rounds.
+        """Return whether all rows are solved; False on a GPU, which runs all rounds to avoid waiting.
 
-        Further rounds leave solved rows bit for bit as they are.
+        Further rounds keep solved rows bit for bit.
         """
         return not solved.is_cuda and bool(solved.all())
 
@@ -128,20 +127,20 @@ class BoundedProblem:
         return Bounded(side=side, effort=torch.zeros_like(side), is_held=torch.zeros_like(side[:1, :, :1]).bool())
 
     def _tangent_step(self, step: EffortStep, side: Tensor) -> _Point:
-        """Return the end of a step in which each law is at its limit or has none, as ``side`` says."""
+        """Return the end of a step in which each law is at its limit or unlimited, by ``side``."""
         end = step(self.total(self._bounded(side)))
         wanted = self.effort_demand(end.joint_pos, end.joint_vel)
         applied = torch.where(side == 0.0, wanted, side * self.limit)
         return _Point(rate=end.joint_vel, wanted=wanted, effort=applied.sum(0))
 
     def _is_solved(self, before: Tensor, end: _Point) -> Tensor:
-        """Return the flags of rows with the same limited laws at the end of a step as in the step, (E,)."""
+        """Return whether the limited laws at the end of a step equal those of the step, (E,)."""
         return (self.side(before) == self.side(end.wanted)).all(-1).all(0)
 
     def _line_search(self, start: _Point, end: _Point) -> Tensor:
-        """Return the share of the way to ``end`` at which the convex function is least, in [0, 1], (E,).
+        """Return the minimum of the convex function between ``start`` and ``end``, as a share in [0, 1], (E,).
 
-        Its slope along the line rises, and is linear between the places where a law comes to a limit or leaves it.
+        Its slope rises along the line, and is linear between the points where a law reaches or leaves a limit.
         """
         way, limit = end.wanted - start.wanted, self.limit
         places = torch.cat((limit - start.wanted, -limit - start.wanted)) / torch.cat((way, way))
@@ -155,7 +154,7 @@ class BoundedProblem:
         return _zero_of(share, slope)
 
     def _within_limits(self, step: EffortStep, wanted: Tensor, solved: Tensor) -> Bounded:
-        """Return the bounded laws at the efforts ``wanted``; rows that are not solved have efforts held."""
+        """Return the bounded laws at the efforts ``wanted``; unsolved rows have constant efforts."""
         limit, found = self.limit, self._bounded(self.side(wanted))
         if self._is_done(solved):
             return found
@@ -173,7 +172,7 @@ class BoundedProblem:
 
 
 def _zero_of(share: Tensor, slope: Tensor) -> Tensor:
-    """Return the zero of a rising, piecewise linear slope, (E,); 1 if it is still negative there.
+    """Return the zero of a rising, piecewise linear slope, (E,); 1 if the slope is negative up to 1.
 
     Args:
         share: Places in ascending order, (E, T).

@@ -1,6 +1,6 @@
-"""How a tree of links accelerates: ``M a + h = f``, in the coordinates of its motion.
+"""Dynamics of a tree of links: ``M a + h = f``, in the coordinates of its motion.
 
-Derived by virtual power: every link obeys Newton's and Euler's laws, and what joints hold does no work along their motion.
+Derived by virtual power: every link obeys Newton's and Euler's laws, and constraint forces of joints do no work.
 Pure functions of tensors, any float type, differentiable; no loop over environments.
 Letters: E environments, D joints, L = D + 1 links, N = 6 + D.
 
@@ -35,7 +35,7 @@ class Equations:
 
 @dataclass(frozen=True, kw_only=True)
 class Accelerations:
-    """How a tree accelerates."""
+    """Accelerations of a tree."""
 
     lin_acc: Tensor  # Of the base's origin [m/s²], world, (E, 3)
     ang_acc: Tensor  # Of the base [rad/s²], base axes, (E, 3)
@@ -82,22 +82,22 @@ def equations(
 
 
 def along_coordinates(rates: Tensor, vectors: Tensor) -> Tensor:
-    """Return what vectors of links (E, L, 3) do along the coordinates whose rates move these links by (E, L, 3, N), (E, N).
+    """Return the generalised forces (E, N) of link vectors (E, L, 3), by their Jacobian (E, L, 3, N).
 
-    In products of matrices of each environment: ``einsum`` sums in another order where there is only one.
+    Matrix products of each environment, because ``einsum`` changes the order of sums for a single one.
     """
     return torch.bmm(vectors.flatten(1).unsqueeze(1), rates.flatten(1, 2)).squeeze(1)
 
 
 def sum_of_products(one: Tensor, other: Tensor) -> Tensor:
-    """Return ``sum one^T other`` over the links, (E, N, N), of (E, L, 3, N) each; likewise."""
+    """Return ``sum one^T other`` over the links, (E, N, N), of (E, L, 3, N) each, likewise."""
     return torch.bmm(one.flatten(1, 2).transpose(1, 2), other.flatten(1, 2))
 
 
 def solve(tree: Tree, state: TreeState, mass: Tensor, force: Tensor) -> Accelerations:
-    """Return the accelerations that ``mass`` (E, N, N) and ``force`` (E, N) ask for; a base that stands still has none.
+    """Solve ``mass`` (E, N, N) times accelerations = ``force`` (E, N); a fixed base has none.
 
-    Where the motion of an environment is not finite any more, its accelerations are not: nothing is raised, nothing waited for.
+    A motion that is not finite gives accelerations that are not finite, without an exception or a wait.
     """
     first = 0 if tree.floating else 6
     root = torch.linalg.cholesky_ex(mass[:, first:, first:]).L
@@ -117,13 +117,13 @@ def accelerations(
     wrench: Tensor | None = None,
     effort: Tensor | None = None,
 ) -> Accelerations:
-    """Return how a tree accelerates; arguments as for ``equations``."""
+    """Return the accelerations of a tree; arguments as for ``equations``."""
     system = equations(tree, links, state, gravity=gravity, wrench=wrench, effort=effort)
     return solve(tree, state, system.mass, system.force)
 
 
 def kinetic_energy(tree: Tree, links: Links, state: TreeState) -> Tensor:
-    """Return the energy of motion [J], (E,)."""
+    """Return the kinetic energy [J], (E,)."""
     system = equations(tree, links, state, gravity=0.0)
     lin_vel = quat_rotate_inverse(state.attitude, state.lin_vel)
     rates = torch.cat((lin_vel, state.ang_vel, state.joint_vel), dim=-1)

@@ -1,9 +1,9 @@
-"""A vehicle that bends, in the air: what its rotors and effects do to its links, and one step of it.
+"""Flight of an articulated vehicle: the wrenches of rotors and effects on its links, and one step.
 
-Each rotor pushes the link that it sits on, and what effects at hubs make of it (``Effect.at_hubs``) acts there, by place and
-motion of that link. Effects on the whole act on the base, at the centre of mass and with the geometry of the reference pose;
-effects on links (``effects.on_links``) on each link where it is, by its own motion. Wind is that at the vehicle's centre of
-mass in the reference pose, for all of them.
+Each rotor and each effect at hubs (``Effect.at_hubs``) acts on the rotor's link, by that link's pose and motion. Effects on the
+whole act on the base, at the centre of mass and with the geometry of the reference pose. Effects on links
+(``effects.on_links``) act on each link by its own motion. All have the wind at the vehicle's centre of mass in the reference
+pose.
 Letters: E environments, R rotors, D joints, L links, C joints with a drive.
 """
 
@@ -46,10 +46,10 @@ def jointed_step(
 
     Args:
         state: Motion of the base, joints and rotors.
-        joint_command: Of the drives, (E, C).
+        joint_command: Commands of the drives, (E, C).
         dt: Length of the step [s].
-        crept: Where dashpots of joints that creep stand, (E, N, D); None where none does.
-        stepper: What moves the tree, in place of ``implicit_euler``.
+        crept: Positions of creep dashpots, (E, N, D); None without creep.
+        stepper: Integrator of the tree, by default ``implicit_euler``.
     """
     articulation = model.articulation
     assert articulation is not None
@@ -65,7 +65,7 @@ def jointed_step(
         joint_pos=state.joint_pos,
         joint_vel=state.joint_vel,
     )
-    links = articulation.links(model.vehicle)  # anew: a reset draws masses in place
+    links = articulation.links(model.vehicle)  # recomputed, because a reset draws masses in place
     after = stepper(
         articulation.tree,
         links,
@@ -116,7 +116,7 @@ def link_wrenches(
 
 
 def _of_links(model: Model, articulation: Articulation, state: TreeState) -> Tensor:
-    """Return what effects on links do to each as ``link_wrenches``, (E, L, 6); arguments as there."""
+    """Return the wrenches of effects on links, (E, L, 6), with arguments and axes of ``link_wrenches``."""
     links = articulation.links(model.vehicle)
     places = place_links(articulation.tree, links, state.joint_pos)
     up = torch.zeros_like(state.position)
@@ -131,12 +131,11 @@ def _of_links(model: Model, articulation: Articulation, state: TreeState) -> Ten
 def _at_hubs(
     model: Model, articulation: Articulation, state: TreeState, wind: Tensor, rotor_speed: Tensor, rotor_acc: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Return all thrusts [N], (E, R), and what else effects at hubs do to each link as ``link_wrenches``, (E, L, 6).
+    """Return all thrusts [N], (E, R), and further wrenches of effects at hubs on each link, as ``link_wrenches``, (E, L, 6).
 
-    A link with its rotors is to them a vehicle of its own, whose centre of mass counts as at the origin of the link.
+    These effects treat a link with its rotors as a separate vehicle, with its centre of mass at the link's origin.
 
     Args:
-        articulation: As others, for ``link_wrenches``.
         wind: Velocity of the air [m/s], world, (E, 3).
     """
     tree, turn = articulation.tree, state.attitude
@@ -169,7 +168,7 @@ def _at_hubs(
 
 
 def _body(state: TreeState, rotor_speed: Tensor) -> BodyState:
-    """Return the motion of the base as that of a rigid vehicle."""
+    """Return the motion of the base as a rigid vehicle."""
     return BodyState(
         position=state.position,
         attitude=state.attitude,
@@ -187,7 +186,7 @@ def _wind(model: Model, state: TreeState) -> Tensor:
 
 
 def link_damping(model: Model, articulation: Articulation, links: Links, state: TreeState) -> LinkDamping | None:
-    """Return what damps the links at the start of a step; None where nothing does."""
+    """Return the damping of the links at the start of a step; None without damping."""
     if not model.effects[LinkEffect]:
         return None
     ((effect, params),) = model.effects[LinkEffect]
@@ -206,7 +205,7 @@ def link_damping(model: Model, articulation: Articulation, links: Links, state: 
 
 
 def link_fluid(model: Model, links: Links, state: TreeState) -> LinkFluid | None:
-    """Return the fluid that links set in motion; None where there is none. Arguments as for ``link_damping``."""
+    """Return the added mass of the links; None without any. Arguments as for ``link_damping``."""
     if not model.effects[LinkFluidEffect]:
         return None
     ((effect, params),) = model.effects[LinkFluidEffect]
@@ -216,7 +215,7 @@ def link_fluid(model: Model, links: Links, state: TreeState) -> LinkFluid | None
 
 
 def check_jointed(integrator: str, ground: Ground | None, able: Capabilities) -> None:
-    """Raise ``CapabilityError`` for what a vehicle that bends cannot have on a backend."""
+    """Raise ``CapabilityError`` for an integrator or ground that a backend does not support with joints."""
     if integrator != "euler":
         raise CapabilityError(
             f"joints: no integrator {integrator!r}. Efforts in joints are stiff; only 'euler' takes them at the end of a step"

@@ -1,7 +1,7 @@
-"""Whether something resists every motion of a vehicle that bends: an inertia, or a spring or damper in its joint.
+"""Check that every motion of an articulated vehicle has an inertia, or a spring or damper in its joint.
 
-A joint whose link is a point on its axis, or two that turn the same about one axis, leave a motion without inertia: efforts
-along it have no finite acceleration, and what flies is NaN.
+A joint whose link is a point on its axis, or two joints about the same axis, leave a motion without inertia. Efforts along it
+have no finite acceleration, and the state becomes NaN.
 Letters: D joints, N = 6 + D coordinates of motion, D on a stand.
 """
 
@@ -14,19 +14,19 @@ from aerial_gym.physics.articulated.motion import Places
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 
 PLACES = 2.0**-24
-"""Round-off of a place in float32: nobody knows an inertia whose lever is that share of the vehicle's size."""
+"""Round-off of a position in float32; an inertia with a lever of that share of the vehicle's size is unknown."""
 
 
 def check_motions(tree: Tree, links: Links, reference: Tensor, held: Tensor, names: tuple[str, ...]) -> None:
-    """Raise ``ConfigError`` where a motion of the vehicle in its reference pose has no inertia.
+    """Raise ``ConfigError`` for a motion of the vehicle without inertia in its reference pose.
 
-    The mass matrix is weighed by what it would be if all mass that a coordinate moves were as far out as the vehicle is large;
-    a motion has no inertia where that has an eigenvalue of at most N times the square of ``PLACES``.
+    The mass matrix is scaled by the inertia that each coordinate would move at the vehicle's full size. A motion has no inertia
+    if the scaled matrix has an eigenvalue of at most N times the square of ``PLACES``.
 
     Args:
-        links: What they weigh, float64, (1, L, ...).
+        links: Masses and inertias, float64, (1, L, ...).
         reference: Coordinates of the reference pose [rad] or [m], (D,).
-        held: Whether a spring or damper is in the joint, whatever its position: it stands in for inertia within a step, (D,).
+        held: Whether the joint always has a spring or damper, which replaces inertia within a step, (D,).
     """
     state = TreeState.at_rest(1, tree.num_joints, like=reference)
     state.joint_pos.copy_(reference)
@@ -45,12 +45,12 @@ def check_motions(tree: Tree, links: Links, reference: Tensor, held: Tensor, nam
     of = ("base",) * (6 - first) + names
     free = sorted({of[k] for k in range(len(of)) if share[k] > 1e-3 * share.max()}, key=of.index)
     raise ConfigError(
-        f"robot: {', '.join(free)} can move in the reference pose without moving any mass, and no spring or damper is there. "
+        f"robot: {', '.join(free)} can move in the reference pose without moving any mass, and has no spring or damper. "
         "Give the link an inertia about the axis, or the joint a spring: {damping: ...}"
     )
 
 
 def _square_of_size(links: Links, places: Places) -> Tensor:
-    """Return the square of how large a vehicle is [m²]: its farthest place, and the mean square of what has no place."""
+    """Return the square of a vehicle's size [m²]: of its farthest point, or the mean square from link inertias."""
     farthest = torch.cat((places.com, places.origin), dim=1).square().sum(-1).max()
     return farthest + links.inertia[0].diagonal(dim1=-2, dim2=-1).sum() / links.total_mass[0, 0]

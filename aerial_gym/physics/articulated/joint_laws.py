@@ -1,7 +1,7 @@
-"""What acts in joints: springs, dampers, drives, limits. Each says its effort and how that falls with position and rate.
+"""Laws of joints: springs, dampers, drives, limits, each with its effort and its derivatives by position and rate.
 
-The derivatives make stiff joints stable: an arm whose damping over its inertia is 230 1/s diverges in steps of 10 ms if its
-effort is held through the step (``steppers``).
+The derivatives stabilise stiff joints: an arm with a ratio of damping to inertia of 230 1/s diverges in steps of 10 ms if its
+effort is constant over the step (``steppers``).
 Letters: E environments, D joints. Units: rad and N m, for joints that move m and N.
 
 Source: Hairer, Wanner (1996), Solving Ordinary Differential Equations II, section IV.8 (linearly implicit steps).
@@ -15,19 +15,19 @@ import torch
 from torch import Tensor
 
 STICK_RATE = 1e-3
-"""Below which dry friction grows with the rate [rad/s], so that a joint that it holds creeps."""
+"""Rate below which dry friction is proportional to the rate [rad/s]; a sticking joint creeps within it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """What acts on joints."""
+    """Effort of joints with its derivatives."""
 
     value: Tensor  # [N m] or [N], (E, D)
     stiffness: Tensor  # By how much it falls per position, (E, D)
     damping: Tensor  # By how much it falls per rate, (E, D)
 
     def __add__(self, other: "Effort") -> "Effort":
-        """Return both together."""
+        """Return the sum of two efforts."""
         return Effort(
             value=self.value + other.value,
             stiffness=self.stiffness + other.stiffness,
@@ -36,10 +36,10 @@ class Effort:
 
 
 class JointLaw(Protocol):
-    """What acts in joints, by their position and rate."""
+    """A law of the effort of joints by position and rate."""
 
     def effort_at(self, position: Tensor, rate: Tensor) -> Effort:
-        """Return what acts at positions and rates (E, D)."""
+        """Return the effort at positions and rates (E, D)."""
         ...
 
 
@@ -67,7 +67,7 @@ class Spring:
 class Creep:
     """``-sum k_i (q - z_i)``: springs behind dashpots, which follow by ``z_i' = (q - z_i) / T_i``. Letters: N elements a joint.
 
-    What a dashpot follows is held through a step, at whose end it is exact for a coordinate that stays: order 1.
+    A dashpot is constant over a step and updated at its end, exactly for a constant coordinate: order 1.
 
     Source:
         Generalised Maxwell model, Tschoegl (1989), The Phenomenological Theory of Linear Viscoelastic Behavior, section 3.4.
@@ -87,7 +87,7 @@ class Creep:
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """A drive to a position and a rate, ``k (q_c - q) + c (q'_c - q') + f``, within what it can; tensors (E, D) or (1, D)."""
+    """A drive to position and rate, ``k (q_c - q) + c (q'_c - q') + f``, within its limit; tensors (E, D) or (1, D)."""
 
     stiffness: Tensor  # k; zero for a drive to a rate
     damping: Tensor  # c
@@ -97,19 +97,19 @@ class Drive:
     limit: Tensor  # Largest effort
 
     def effort_demand(self, position: Tensor, rate: Tensor) -> Tensor:
-        """Return the effort that is asked for, beyond the limit or not."""
+        """Return the unlimited effort."""
         return self.stiffness * (self.position - position) + self.damping * (self.rate - rate) + self.effort
 
     def saturation_side(self, position: Tensor, rate: Tensor) -> Tensor:
-        """Return 1 or -1 where more is asked for than the drive can give, by its sign; else 0."""
+        """Return the sign of an unlimited effort beyond the limit, 1 or -1; else 0."""
         return self.side(self.effort_demand(position, rate))
 
     def side(self, wanted: Tensor) -> Tensor:
-        """Return 1 or -1 where an effort is beyond the limit, by its sign; else 0."""
+        """Return the sign of an effort beyond the limit, 1 or -1; else 0."""
         return torch.where(wanted.abs() > self.limit, torch.sign(wanted), 0.0)
 
     def effort_at(self, position: Tensor, rate: Tensor, at_limit: Tensor) -> Effort:
-        """Return the effort; where ``at_limit`` is 1 or -1 it is the limit to that side, and falls with nothing."""
+        """Return the effort; for ``at_limit`` 1 or -1 it is the constant limit on that side."""
         free = at_limit == 0.0
         return Effort(
             value=torch.where(free, self.effort_demand(position, rate), at_limit * self.limit),
@@ -119,10 +119,10 @@ class Drive:
 
 
 def dry_friction(size: Tensor) -> Drive:
-    """Return dry friction of a size [N m], (1, D): a drive to the rate 0 that can give no more.
+    """Return dry friction of a size [N m], (1, D): a drive to the rate 0 with this limit.
 
-    At most ``STICK_RATE`` is left of the motion of a joint that it holds; what moves, it slows down by its size, and brings to
-    rest in the step in which it can: it turns nothing round. Coulomb's law, taken at the end of a step.
+    A sticking joint keeps a rate of at most ``STICK_RATE``. A moving joint slows down by the size, to rest without
+    reversal. This is Coulomb's law at the end of a step.
     """
     zero = torch.zeros_like(size)
     return Drive(stiffness=zero, damping=size / STICK_RATE, position=zero, rate=zero, effort=zero, limit=size)
@@ -130,7 +130,7 @@ def dry_friction(size: Tensor) -> Drive:
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """Soft ends: beyond them a spring with a damper pushes back, and never pulls; tensors (E, D) or (1, D)."""
+    """Soft ends of joints: beyond them a spring and damper push back and never pull; tensors (E, D) or (1, D)."""
 
     low: Tensor
     high: Tensor
@@ -152,7 +152,7 @@ class Limits:
 
 
 def joint_effort(laws: Sequence[JointLaw], position: Tensor, rate: Tensor) -> Effort:
-    """Return what all laws together do at positions and rates (E, D)."""
+    """Return the total effort of all laws at positions and rates (E, D)."""
     nothing = torch.zeros_like(rate)
     found = Effort(value=nothing, stiffness=nothing, damping=nothing)
     for law in laws:

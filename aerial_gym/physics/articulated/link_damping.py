@@ -1,9 +1,9 @@
-"""What damps the motion of links through the air, and how a step takes it at its end.
+"""Damping of links by the air, evaluated at the end of a step.
 
 With ``F = -D u`` in axes of the link, u the velocity of its centre of mass c through the air, and the rate of u in these axes
 ``u' = a_c - w x v_c + w x wind``, the force at the end of a step is ``-D (u + u' dt)`` with the D of its start, and the torque
-likewise by the angular velocity. What of it follows the accelerations stands in the mass matrix: ``M + dt sum J^T D J``. So
-no D is too large for a step.
+likewise by the angular velocity. The terms in the accelerations add to the mass matrix: ``M + dt sum J^T D J``. So a step is
+stable for every D.
 Letters: E environments, L links, N coordinates of motion.
 
 Source: Hairer, Wanner (1996), Solving Ordinary Differential Equations II, section IV.8 (linearly implicit Euler).
@@ -21,14 +21,14 @@ from aerial_gym.physics.articulated.tree import Links, Tree
 
 @dataclass(frozen=True, kw_only=True)
 class LinkDamping:
-    """What damps each link at the start of a step; all in axes of the link."""
+    """Damping of each link at the start of a step, in axes of the link."""
 
     velocity: Tensor  # Of the centres of mass through the air [m/s], and angular velocity [rad/s], (E, L, 6)
     damping: Tensor  # D [N s/m, N m s/rad], (E, L, 6)
     turned_wind: Tensor  # `w x wind` [m/s²], (E, L, 3)
 
     def start_wrench(self, links: Links) -> Tensor:
-        """Return force [N] at the origin of each link and torque [N m], (E, L, 6), as they are at the start of the step."""
+        """Return force [N] at the origin of each link and torque [N m], (E, L, 6), at the start of the step."""
         force, torque = (-self.damping * self.velocity).split(3, dim=-1)
         return torch.cat((force, torque + cross(links.com.expand_as(force), force)), dim=-1)
 
@@ -54,9 +54,9 @@ def motion_in_air(
 
 
 def damped(tree: Tree, found: Equations, acts: LinkDamping, dt: float) -> Equations:
-    """Return equations of motion under damping that is taken at the end of a step of ``dt`` [s].
+    """Add damping at the end of a step of ``dt`` [s] to equations of motion.
 
-    What swinging adds to ``u'`` is that of the rates at which the equations take it.
+    The velocity terms of ``u'`` use the rates of the equations.
     """
     places, motion = found.places, found.motion
     pushes, turns = moving(tree, places, places.com), turning(tree, places)
@@ -75,5 +75,5 @@ def damped(tree: Tree, found: Equations, acts: LinkDamping, dt: float) -> Equati
 
 
 def _to_link(places: Places, vectors: Tensor) -> Tensor:
-    """Return vectors (E, L, 3) in axes of the base in those of their links."""
+    """Rotate vectors (E, L, 3) from axes of the base into those of their links."""
     return (places.rotation.mT @ vectors.unsqueeze(-1)).squeeze(-1)

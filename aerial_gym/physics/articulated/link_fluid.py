@@ -1,9 +1,9 @@
-"""Fluid that links set in motion, in the equations of motion of a tree: ``LinkFluidEffect``.
+"""Added mass of links in the equations of motion of a tree: ``LinkFluidEffect``.
 
-Of a link with added masses A and inertias B in axes R of the link, both of its centre of mass, which moves at u through fluid
-in steady uniform motion and accelerates by a, the fluid takes ``R A R^T (a - w x u) + w x (R A R^T u)`` of the force, and
-``R B R^T w' + w x (R B R^T w) + u x (R A R^T u)`` of the torque. What of it follows the accelerations of the coordinates stands
-in the mass matrix: ``M + sum J^T (A, B) J``. Weight does not act on it.
+A link has added masses A and inertias B at its centre of mass, link axes R. The centre moves at u through fluid in steady
+uniform motion and accelerates by a. The fluid then takes the force ``R A R^T (a - w x u) + w x (R A R^T u)`` and the torque
+``R B R^T w' + w x (R B R^T w) + u x (R A R^T u)``. The terms in the accelerations add to the mass matrix:
+``M + sum J^T (A, B) J``. Added mass has no weight.
 Letters: E environments, L links, N coordinates of motion.
 
 Source: Lamb (1932), Hydrodynamics, articles 121-124 (Kirchhoff's equations).
@@ -21,14 +21,14 @@ from aerial_gym.physics.articulated.tree import Tree
 
 @dataclass(frozen=True, kw_only=True)
 class LinkFluid:
-    """What fluid adds to each link."""
+    """Added mass of each link."""
 
     added: Tensor  # Diagonals of A [kg] and B [kg m²], axes of the link, (E, L, 6)
     wind: Tensor  # Velocity of the fluid [m/s], world, (E, 3)
 
 
 def entrained(tree: Tree, found: Equations, attitude: Tensor, fluid: LinkFluid) -> Equations:
-    """Return equations of motion with the fluid; its terms of velocity are those of the motion that the equations have.
+    """Add the fluid to equations of motion; its velocity terms use the motion of the equations.
 
     Args:
         attitude: Base to world, xyzw, (E, 4).

@@ -1,7 +1,7 @@
-"""Where the links of a tree are and how they move, in axes of the base.
+"""Kinematics of the links of a tree, in axes of the base.
 
-Pure functions of tensors. All vectors are in the axes of the base at this instant; velocities and accelerations are those that
-an observer at rest sees, so that Newton's and Euler's laws hold as they stand.
+Pure functions of tensors. All vectors are in the axes of the base at this instant; velocities and accelerations are inertial,
+so that Newton's and Euler's laws hold directly.
 Letters: E environments, D joints, L = D + 1 links, N = 6 + D coordinates of motion: velocity and angular velocity of the base,
 rates of the joints.
 
@@ -23,7 +23,7 @@ cross = torch.linalg.cross
 
 @dataclass(frozen=True, kw_only=True)
 class Places:
-    """Where links are."""
+    """Poses and mass properties of links."""
 
     rotation: Tensor  # Axes of each link to those of the base, (E, L, 3, 3)
     origin: Tensor  # Of each link from that of the base [m], (E, L, 3)
@@ -33,7 +33,7 @@ class Places:
 
 
 def place_links(tree: Tree, links: Links, joint_pos: Tensor) -> Places:
-    """Return where links are for joint coordinates (E, D)."""
+    """Return the poses of links for joint coordinates (E, D)."""
     num_envs, like = joint_pos.shape[0], joint_pos
     rotations = [torch.eye(3, dtype=like.dtype, device=like.device).expand(num_envs, 3, 3)]
     origins, axes = [like.new_zeros(num_envs, 3)], []
@@ -60,7 +60,7 @@ def place_links(tree: Tree, links: Links, joint_pos: Tensor) -> Places:
 
 
 def turn_links(tree: Tree, joint_pos: Tensor) -> Tensor:
-    """Return the axes of each link to those of the base as quaternions, xyzw, (E, L, 4), for joint coordinates (E, D)."""
+    """Return the rotation from each link to the base as quaternions, xyzw, (E, L, 4), for joint coordinates (E, D)."""
     attitudes = [joint_pos.new_tensor((0.0, 0.0, 0.0, 1.0)).expand(joint_pos.shape[0], 4)]
     for k, joint in enumerate(tree.joints):
         parent = attitudes[joint.parent]
@@ -72,13 +72,13 @@ def turn_links(tree: Tree, joint_pos: Tensor) -> Tensor:
 
 
 def _turned(rotation: Tensor, vector: Tensor) -> Tensor:
-    """Return ``rotation @ vector``, (E, 3), of one vector for all, (3,), in an order of sums that does not depend on E."""
+    """Return ``rotation @ vector``, (E, 3), for a shared vector (3,), with an order of sums independent of E."""
     x, y, z = vector.unbind()
     return rotation[..., 0] * x + rotation[..., 1] * y + rotation[..., 2] * z
 
 
 def turning(tree: Tree, places: Places) -> Tensor:
-    """Return the angular velocity of each link per coordinate of motion, (E, L, 3, N)."""
+    """Return the angular Jacobian: angular velocity of each link per coordinate of motion, (E, L, 3, N)."""
     like, num_envs = places.axis, places.axis.shape[0]
     base = torch.eye(3, dtype=like.dtype, device=like.device).expand(num_envs, tree.num_links, 3, 3)
     turns = _of_joints(tree, like, "revolute").unsqueeze(2) * places.axis.transpose(1, 2).unsqueeze(1)
@@ -86,7 +86,7 @@ def turning(tree: Tree, places: Places) -> Tensor:
 
 
 def moving(tree: Tree, places: Places, points: Tensor) -> Tensor:
-    """Return the velocity of a point of each link, (E, L, 3) from the base's origin, per coordinate of motion, (E, L, 3, N)."""
+    """Return the Jacobian of points of links, (E, L, 3) from the base's origin: velocity per coordinate, (E, L, 3, N)."""
     like, num_envs = places.axis, places.axis.shape[0]
     base = torch.eye(3, dtype=like.dtype, device=like.device).expand(num_envs, tree.num_links, 3, 3)
     lever = points.unsqueeze(2) - places.origin[:, 1:].unsqueeze(1)  # (E, L, D, 3)
@@ -99,7 +99,7 @@ def moving(tree: Tree, places: Places, points: Tensor) -> Tensor:
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """How links move, and how they accelerate where no coordinate of motion does."""
+    """Velocities of links, and their accelerations at zero acceleration of all coordinates."""
 
     ang_vel: Tensor  # [rad/s], (E, L, 3)
     lin_vel: Tensor  # Of the origins [m/s], (E, L, 3)
@@ -140,7 +140,7 @@ def move_links(tree: Tree, places: Places, lin_vel: Tensor, ang_vel: Tensor, joi
 
 
 def _of_joints(tree: Tree, like: Tensor, kind: str) -> Tensor:
-    """Return 1 where a joint of a kind moves a link, (1, L, D)."""
+    """Return a mask with 1 for each joint of a kind that moves a link, (1, L, D)."""
     rows = [
         [float(moves and joint.kind == kind) for moves, joint in zip(row, tree.joints, strict=True)]
         for row in tree.moves
@@ -149,7 +149,7 @@ def _of_joints(tree: Tree, like: Tensor, kind: str) -> Tensor:
 
 
 def _skew(vectors: Tensor) -> Tensor:
-    """Return the matrices (..., 3, 3) that take a vector to the cross product of these, (..., 3), with it."""
+    """Return the cross-product matrices (..., 3, 3) of vectors (..., 3)."""
     x, y, z = vectors.unbind(-1)
     zero = torch.zeros_like(x)
     return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), dim=-1).unflatten(-1, (3, 3))

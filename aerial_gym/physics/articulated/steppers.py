@@ -1,10 +1,10 @@
-"""Steps in time of a tree of links.
+"""Integrators of a tree of links.
 
-``implicit_euler``: the efforts of joints are those at the end of the step, linearised; all else is semi-implicit Euler. It is
-of order 1 and stable however stiff a joint is. Drives and dry friction keep within their limits at the end of the step
-(``bounded_efforts``); a drive that was judged at the start would overshoot with a light link in each step. With drives or
-friction, what turning and swinging take is that of the rates half way to the end of a step: taken at the rates at the start it
-feeds what whirls. ``rk4``: order 4, for motion that no stiff joint is in.
+``implicit_euler``: linearised efforts of joints at the end of the step; all else is semi-implicit Euler. It has order 1 and is
+stable at any stiffness. Drives and dry friction respect their limits at the end of the step (``bounded_efforts``); a limit
+judged at the start would make a drive with a light link overshoot in each step. With drives or friction, velocity terms
+(Coriolis and centrifugal) use the rates in the middle of the step, because those of the start feed energy to fast rotations.
+``rk4``: order 4, for trees without stiff joints.
 Letters: E environments, D joints, L links.
 
 Sources:
@@ -52,17 +52,17 @@ def implicit_euler(
     Args:
         dt: Length of the step [s].
         gravity: Downward acceleration of free fall [m/s²].
-        drive: Of the joints that have one; the gains of others are zero.
-        friction: As ``joint_laws.dry_friction`` gives it; None where there is none.
-        wrench: Held through the step, as for ``equations``, (E, L, 6).
-        effort: Of the joints beside the laws, held through the step, (E, D).
-        damping: Of the links, taken at the end of the step; None where there is none.
-        fluid: That they set in motion; None where there is none.
+        drive: Drives of joints; other joints have zero gains.
+        friction: Result of ``joint_laws.dry_friction``; None without friction.
+        wrench: Constant wrenches as for ``equations``, (E, L, 6).
+        effort: Further constant efforts of joints, (E, D).
+        damping: Damping of links, at the end of the step; None without damping.
+        fluid: Added mass of links; None without any.
     """
 
     traces = torch.is_grad_enabled()
 
-    @cache  # by identity: the equations of each motion serve all rounds of a solution
+    @cache  # by identity: all rounds of a solution share the equations of a motion
     def equations_at(swings: TreeState) -> Equations:
         with torch.set_grad_enabled(traces):  # the first of these rounds is without gradients
             system = equations(tree, links, swings, gravity=gravity, wrench=wrench, effort=effort)
@@ -85,13 +85,13 @@ def with_drive(
     *,
     rounds: int = ROUNDS,
 ) -> TreeState:
-    """Return the state after a step under laws, a drive and dry friction, each within its limit at the end of the step.
+    """Return the state after a step under laws, drives and dry friction, each within its limit at the end of the step.
 
-    The first solution, from the rates at the start, gives the rates half way. The second one, at those, is the step.
+    The first solution, with the initial rates, gives the rates in the middle. The second, with those, is the step.
 
     Args:
-        step: A step from ``state`` under efforts of joints, taken at its end, and what turning and swinging take in a motion.
-        drive: Of the joints that have one; None for no drive.
+        step: Function of a step from ``state`` with efforts of joints at its end and the velocity terms of a motion.
+        drive: Drives of joints; None without drives.
     """
     acts = joint_effort(laws, state.joint_pos, state.joint_vel)
     bounded = [(law, law is friction) for law in (drive, friction) if law is not None]
@@ -109,7 +109,7 @@ def with_drive(
 
 
 def half_way(state: TreeState, end: TreeState) -> TreeState:
-    """Return where a step begins, with the rates half way to its end."""
+    """Return the initial state of a step with the rates of its middle."""
     return replace(
         state,
         ang_vel=0.5 * (state.ang_vel + end.ang_vel),
@@ -118,7 +118,7 @@ def half_way(state: TreeState, end: TreeState) -> TreeState:
 
 
 def _implicit(tree: Tree, state: TreeState, system: Equations, acts: Effort, dt: float) -> TreeState:
-    """Return the state after a step under equations without the efforts of joints, and these."""
+    """Return the state after a step under equations of motion and implicit efforts of joints."""
     soft = acts.stiffness * dt
     held = torch.nn.functional.pad(acts.value - soft * state.joint_vel, (6, 0))
     stiff = torch.nn.functional.pad(dt * (acts.damping + soft), (6, 0))
@@ -133,7 +133,7 @@ def _implicit(tree: Tree, state: TreeState, system: Equations, acts: Effort, dt:
 
 
 def moved_on(state: TreeState, lin_vel: Tensor, ang_vel: Tensor, joint_vel: Tensor, dt: float) -> TreeState:
-    """Return the state after a step with these velocities at its end, by which places move."""
+    """Return the state after a step with given final velocities, which also move the positions."""
     return TreeState(
         position=state.position + dt * lin_vel,
         attitude=quat_normalize(quat_multiply(state.attitude, quat_exp(dt * ang_vel))),

@@ -1,4 +1,4 @@
-"""Where the links of a vehicle that bends are above flat ground.
+"""Gaps between the links of an articulated vehicle and flat ground.
 
 Frames: world, z up; spheres in the axes of their links, from their origins. Letters: E environments, C spheres.
 """
@@ -14,13 +14,13 @@ from aerial_gym.physics.state import JointedState
 
 
 def sphere_gaps(ground: Ground, model: Model, state: JointedState) -> tuple[Tensor, Tensor]:
-    """Return the gaps of spheres to the ground [m], and how fast their lowest points come down [m/s], (E, C)."""
+    """Return the gaps of spheres to the ground [m], and the approach speeds of their lowest points [m/s], (E, C)."""
     articulation, spheres = model.articulation, ground.spheres.to(state.position.dtype)
     assert articulation is not None
     assert ground.on_links is not None
     on, tree = list(ground.on_links.links), articulation.tree
     places = place_links(tree, articulation.links(model.vehicle), state.joint_pos)
-    moves = float(tree.floating)  # a stand does not, whatever its state says
+    moves = float(tree.floating)  # a stand is at rest, whatever its state
     body_vel = quat_rotate_inverse(state.attitude, moves * state.lin_vel)
     motion = move_links(tree, places, body_vel, moves * state.ang_vel, state.joint_vel)
     down = torch.zeros_like(state.position)

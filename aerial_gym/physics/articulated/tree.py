@@ -1,6 +1,6 @@
-"""Trees of rigid links: which link hangs on which, by which joint, and what each link weighs.
+"""Trees of rigid links: topology, joints and masses.
 
-Each joint has one degree of freedom and carries one link; a universal joint is two of them with a link without mass between.
+Each joint has one degree of freedom and carries one link; a universal joint is two joints with a massless link between.
 Link 0 is the base; joint k carries link k + 1, so that a parent always has a smaller number than its child.
 Frames: a link's frame is its joint's, turned or moved by the joint; SI units.
 Letters: E environments, D joints, L = D + 1 links.
@@ -19,7 +19,7 @@ from aerial_gym.errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True)
 class Joint:
-    """A joint of one degree of freedom, and where it sits on its parent."""
+    """A joint of one degree of freedom, with its pose on its parent."""
 
     parent: int
     """Number of the link that it hangs on."""
@@ -36,7 +36,7 @@ class Joint:
     """The joint's frame to its parent's where its coordinate is zero, xyzw, unit."""
 
     def __post_init__(self) -> None:
-        """Refuse what is no joint."""
+        """Refuse invalid values."""
         numbers = (*self.axis, *self.position, *self.attitude)
         if not all(isfinite(number) for number in numbers):
             raise ConfigError(f"a joint on link {self.parent} has numbers that are not finite")
@@ -50,17 +50,17 @@ class Joint:
 
 @dataclass(frozen=True, kw_only=True)
 class Tree:
-    """How links hang together; the same in all environments."""
+    """Topology of links; the same in all environments."""
 
     joints: tuple[Joint, ...]
     floating: bool = True  # Whether the base moves; else it stands still
 
     def __post_init__(self) -> None:
-        """Refuse joints on links that come later, or are not there."""
+        """Refuse joints on later or missing links."""
         for k, joint in enumerate(self.joints):
             if not 0 <= joint.parent <= k:
                 raise ConfigError(
-                    f"joint {k} hangs on link {joint.parent}: a parent is 0, the base, or a link before it (up to {k})"
+                    f"joint {k} is on link {joint.parent}: a parent is 0, the base, or an earlier link (up to {k})"
                 )
 
     @property
@@ -74,12 +74,12 @@ class Tree:
         return len(self.joints) + 1
 
     def children(self, link: int) -> tuple[int, ...]:
-        """Return the numbers of the joints that hang on a link."""
+        """Return the indices of the joints on a link."""
         return tuple(k for k, joint in enumerate(self.joints) if joint.parent == link)
 
     @cached_property
     def moves(self) -> tuple[tuple[bool, ...], ...]:
-        """Return of each link whether each joint moves it: L rows of D."""
+        """Return whether each joint moves each link: L rows of D."""
         rows = [(False,) * self.num_joints]
         for k, joint in enumerate(self.joints):
             rows.append(tuple(above or k == place for place, above in enumerate(rows[joint.parent])))
@@ -88,7 +88,7 @@ class Tree:
 
 @dataclass(frozen=True, kw_only=True)
 class Links:
-    """What links weigh; the first dimension is E, or 1 where all environments have the same."""
+    """Masses, centres of mass and inertias of links; the first dimension is E, or 1 if shared."""
 
     mass: Tensor  # [kg], (E, L); zero for a link between the two joints of a universal one
     com: Tensor  # Centres of mass [m], axes of each link, (E, L, 3)
@@ -96,13 +96,13 @@ class Links:
 
     @property
     def total_mass(self) -> Tensor:
-        """Mass of all [kg], (E, 1)."""
+        """Total mass [kg], (E, 1)."""
         return self.mass.sum(-1, keepdim=True)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TreeState:
-    """Motion of the base, as of any body, and of the joints."""
+    """Motion of the base and of the joints."""
 
     position: Tensor  # Of the base's origin [m], world, (E, 3)
     attitude: Tensor  # Base to world, xyzw, (E, 4)
@@ -113,7 +113,7 @@ class TreeState:
 
     @classmethod
     def at_rest(cls, num_envs: int, num_joints: int, *, like: Tensor) -> "TreeState":
-        """Return trees at the origin that do not move; float type and device are those of ``like``."""
+        """Return trees at rest at the origin, with float type and device of ``like``."""
         attitude = like.new_zeros(num_envs, 4)
         attitude[:, 3] = 1.0
         three, joints = like.new_zeros(num_envs, 3), like.new_zeros(num_envs, num_joints)

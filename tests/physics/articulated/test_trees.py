@@ -227,7 +227,7 @@ def test_float32_loses_no_more_than_rounding() -> None:
         (lambda: Joint(parent=0, attitude=(0.0, 0.0, 0.0, 0.5)), "attitude has length 0.5"),
         (lambda: Joint(parent=0, kind="ball"), "choose revolute or prismatic"),  # type: ignore[arg-type]
         (lambda: Joint(parent=0, position=(float("nan"), 0.0, 0.0)), "not finite"),
-        (lambda: Tree(joints=(Joint(parent=1),)), "joint 0 hangs on link 1"),
+        (lambda: Tree(joints=(Joint(parent=1),)), "joint 0 is on link 1"),
     ],
 )
 def test_what_is_no_tree_is_refused(make, said: str) -> None:

@@ -1,1 +1,1 @@
-"""The articulated engine as Warp code: a kernel factory of its own, so that that of rigid vehicles stays as fast as it is."""
+"""The articulated engine as Warp code, with its own kernel factory, which keeps that of rigid vehicles fast."""

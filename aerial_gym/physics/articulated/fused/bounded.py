@@ -1,6 +1,6 @@
-"""Drives with limits and dry friction at the end of a step, for one environment: ``articulated.bounded_efforts`` in Warp.
+"""Drives with limits and dry friction at the end of a step: the Warp version of ``articulated.bounded_efforts``.
 
-What a drive asks for at the rate v at the end is ``asked - slope v``. Letters: D joints, C joints with a drive.
+The unlimited effort of a drive at the final rate v is ``asked - slope v``. Letters: D joints, C joints with a drive.
 """
 
 from dataclasses import dataclass
@@ -14,15 +14,15 @@ from aerial_gym.physics.articulated.bounded_efforts import TOLERANCE
 from aerial_gym.physics.articulated.joint_laws import STICK_RATE
 
 SEARCHES = 24
-"""Secants of a line search, at most; where friction holds, the slope is steep and eight left rows unsolved."""
+"""Largest number of secants of a line search; the slope is steep under sticking friction, and eight left rows unsolved."""
 
 FLAT = 1e-6
-"""Share of the slope at the start of a line at which its search ends: what float32 can tell."""
+"""Slope at the end of a line search, relative to its start: the resolution of float32."""
 
 
 @dataclass(frozen=True)
 class BoundedLaws:
-    """Functions of the bounded laws of all joints; vectors have a number of each joint."""
+    """Functions of the bounded laws of all joints; vectors have one number per joint."""
 
     ask: wp.Function  # (positions, commands) -> what drives ask for at the rate 0 at the end of the step
     sides: wp.Function  # (asked, rates at the end, dt) -> sides of drives and of dry friction: 1, -1 at a limit, or 0
@@ -35,7 +35,7 @@ class BoundedLaws:
 
 
 def make_bounded(articulation: Articulation) -> BoundedLaws:
-    """Return the functions of a vehicle."""
+    """Return the functions of a vehicle's bounded laws."""
     num_joints = articulation.num_joints
     joints = vector_type(num_joints)
     stiffness, damping, limit = [0.0] * num_joints, [0.0] * num_joints, [0.0] * num_joints
@@ -140,7 +140,7 @@ def _make_line_search(num_joints: int, joints: Any, driven: wp.Function, rubbing
         count = wp.int32(0)
         if slope_high <= 0.0 or slope_low >= 0.0:
             count = wp.int32(wp.static(SEARCHES))
-        while count < wp.static(SEARCHES):  # not unrolled
+        while count < wp.static(SEARCHES):  # a loop that Warp does not unroll
             share = low + (high - low) * slope_low / (slope_low - slope_high)
             slope = slope_at(share, asked, rates, efforts, way, change, dt)
             if slope > 0.0:

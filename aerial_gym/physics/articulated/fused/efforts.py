@@ -1,4 +1,4 @@
-"""What acts in one joint at the end of a step, as ``joint_laws`` has it: laws that a joint does not have cost nothing."""
+"""Effort of one joint at the end of a step: the Warp version of ``joint_laws``; absent laws cost nothing."""
 
 from functools import cache
 from typing import Any
@@ -11,15 +11,14 @@ from aerial_gym.physics.articulated.articulation import Articulation
 
 @cache
 def held_of(num_joints: int, params_type: Any, rotor_vector: Any) -> Any:
-    """Return the ``wp.struct`` of what is held through a step.
+    """Return the ``wp.struct`` of quantities that are constant over a step.
 
-    It has the tangent of drives and dry friction, ``bounded_value - bounded_slope v`` at the rate v at the end, and the effort
-    of springs behind dashpots at zero, ``sum k_i z_i`` [N m]. Where the air acts on links it has also parameters of effects,
-    wind [m/s] and the acceleration that weight takes [m/s²], axes of the base, place and attitude of the base, states of the
-    rotors and their accelerations.
+    It has the tangent of drives and dry friction, ``bounded_value - bounded_slope v`` at the final rate v, and the effort of
+    springs behind dashpots at zero, ``sum k_i z_i`` [N m]. With effects on links it also has their parameters, wind [m/s] and
+    gravity [m/s²], axes of the base, the pose of the base, and states and accelerations of the rotors.
 
     Args:
-        params_type: Of the parameters; None where the air does nothing to a link.
+        params_type: Type of the parameters; None without effects on links.
     """
     vector = vector_type(num_joints)
     fields = {"bounded_value": vector, "bounded_slope": vector, "crept": vector}
@@ -30,8 +29,8 @@ def held_of(num_joints: int, params_type: Any, rotor_vector: Any) -> Any:
 
 
 def make_creep(articulation: Articulation) -> tuple[wp.Function, wp.Function]:
-    """Return functions of dashpots, vector of N D: (dashpots) -> ``Held.crept``, and (dashpots, joints, dt) -> dashpots at the
-    end of a step."""
+    """Return two functions of dashpots, a vector of N D: (dashpots) -> ``Held.crept``, and (dashpots, joints, dt) -> dashpots
+    at the end of a step."""
     joints, num_creep, num_joints = (
         vector_type(articulation.num_joints),
         articulation.num_creep,
@@ -63,8 +62,8 @@ def make_creep(articulation: Articulation) -> tuple[wp.Function, wp.Function]:
 
 
 def make_effort(articulation: Articulation, k: int, held_type: Any) -> wp.Function:
-    """Return a function (position, rate, what is held through the step, dt) -> effort at the end of a step at this rate,
-    ``f - K q' dt``, and what is added to the joint's inertia, ``C dt + K dt²``."""
+    """Return a function (position, rate, constants of the step, dt) -> effort at the end of a step at this rate,
+    ``f - K q' dt``, and the addition to the joint's inertia, ``C dt + K dt²``."""
     spring = {name: float(rows[0, k]) for name, rows in vars(articulation.spring).items()}
     ends = {name: float(rows[0, k]) for name, rows in vars(articulation.ends).items()}
     k1, k2, damping, rest, preload = (spring[name] for name in ("stiffness", "quadratic", "damping", "rest", "preload"))

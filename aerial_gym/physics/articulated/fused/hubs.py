@@ -1,8 +1,8 @@
-"""What effects at hubs do to the links that rotors sit on, for one environment: ``articulated.flight`` in Warp.
+"""Effects at hubs on the links of rotors: the Warp version of ``articulated.flight``.
 
-A link with its rotors is to them a vehicle of its own, whose centre of mass counts as at the origin of the link: they see its
-place and motion at the start of the step, in its own axes, in the wind at the vehicle's centre of mass.
-The recursion calls it where it comes by the link.
+These effects treat a link with its rotors as a separate vehicle with its centre of mass at the link's origin. They use its
+pose and motion at the start of the step, link axes, and the wind at the vehicle's centre of mass. The recursion calls the
+function at each link.
 Letters: R rotors, S rotors of a link.
 """
 
@@ -16,7 +16,7 @@ from aerial_gym.physics.model import Model
 
 
 def blown_links(model: Model) -> tuple[int, ...]:
-    """Return the numbers of the links on whose rotors an effect acts."""
+    """Return the indices of links with effects on their rotors."""
     articulation = model.articulation
     assert articulation is not None
     any_at_hubs = any(effect.at_hubs for effect, _ in model.effects)
@@ -24,12 +24,11 @@ def blown_links(model: Model) -> tuple[int, ...]:
 
 
 def make_hubs(model: Model, joints: JointTypes) -> dict[int, wp.Function]:
-    """Return what effects at hubs do on each link with rotors.
+    """Return the Warp function of effects at hubs for each link with rotors.
 
-    (vehicle, what is held through the step, thrusts of all rotors by themselves, axes of the link to those of the base, its
-    origin from that of the base, its angular velocity and the velocity of its origin at the start of the step) -> thrusts with
-    the effects on this link, and what else they do to the link at its origin. Vectors are in axes of the base, what comes back
-    in those of the link.
+    Arguments: vehicle; constants of the step; static thrusts of all rotors; rotation from link to base; origin of the link from
+    that of the base; its angular velocity and the velocity of its origin at the start of the step. Vectors are in axes of the
+    base. Result: thrusts including effects on this link, and the further wrench at its origin, axes of the link.
     """
     return {link: _make_link_hubs(model, joints, link) for link in blown_links(model)}
 

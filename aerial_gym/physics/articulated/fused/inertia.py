@@ -1,11 +1,11 @@
-"""Inertia of a link with all that it carries, in Warp."""
+"""Articulated inertia of a link with all links that it carries, in Warp."""
 
 import warp as wp
 
 
 @wp.struct
 class Inertia:
-    """Inertia of a link with all that it carries, about its origin, and what it takes to keep it unaccelerated."""
+    """Articulated inertia of a link with all links that it carries, about its origin, and its bias wrench."""
 
     turn: wp.mat33  # torque per angular acceleration [kg m²]
     mixed: wp.mat33  # torque per acceleration [kg m]; transposed, force per angular acceleration
@@ -16,13 +16,13 @@ class Inertia:
 
 @wp.func
 def symmetric(of: wp.mat33) -> wp.mat33:
-    """Return a symmetric matrix from its upper half, so that nothing is worked out twice."""
+    """Return a symmetric matrix from its upper half, to avoid duplicate computations."""
     return wp.mat33(of[0, 0], of[0, 1], of[0, 2], of[0, 1], of[1, 1], of[1, 2], of[0, 2], of[1, 2], of[2, 2])
 
 
 @wp.func
 def crossed(lever: wp.vec3, of: wp.mat33) -> wp.mat33:
-    """Return ``skew(lever) of``: a product with that matrix would have zeros in it."""
+    """Return ``skew(lever) of``, without the products with zeros."""
     return wp.matrix_from_cols(
         wp.cross(lever, wp.vec3(of[0, 0], of[1, 0], of[2, 0])),
         wp.cross(lever, wp.vec3(of[0, 1], of[1, 1], of[2, 1])),
@@ -32,7 +32,7 @@ def crossed(lever: wp.vec3, of: wp.mat33) -> wp.mat33:
 
 @wp.func
 def plus(a: Inertia, b: Inertia) -> Inertia:
-    """Return both together."""
+    """Return the sum of two inertias."""
     both = Inertia()
     both.turn = a.turn + b.turn
     both.mixed = a.mixed + b.mixed
@@ -44,7 +44,7 @@ def plus(a: Inertia, b: Inertia) -> Inertia:
 
 @wp.func
 def inertia_of(mass: float, com: wp.vec3, about: wp.mat33, ang_vel: wp.vec3, lin_vel: wp.vec3) -> Inertia:
-    """Return that of one rigid link.
+    """Return the inertia of one rigid link.
 
     Args:
         mass: [kg].
@@ -66,10 +66,10 @@ def inertia_of(mass: float, com: wp.vec3, about: wp.mat33, ang_vel: wp.vec3, lin
 
 @wp.func
 def accelerated(own: Inertia, mass: float, com: wp.vec3, bend: wp.vec3, swing: wp.vec3) -> Inertia:
-    """Return that of one rigid link that accelerates by itself.
+    """Return the inertia of one rigid link with its own velocity-dependent acceleration.
 
     Args:
-        own: As ``inertia_of`` gives it.
+        own: Result of ``inertia_of``.
         mass: [kg].
         com: Centre of mass from the link's origin [m].
         bend: Angular acceleration [rad/s²].
@@ -84,7 +84,7 @@ def accelerated(own: Inertia, mass: float, com: wp.vec3, bend: wp.vec3, swing: w
 
 @wp.func
 def beside(own: Inertia, push: wp.mat33, turn: wp.mat33, com: wp.vec3, force: wp.vec3, torque: wp.vec3) -> Inertia:
-    """Return an inertia with what else resists accelerations of a centre of mass, and what acts there.
+    """Add further inertia at a centre of mass, and a wrench there.
 
     Args:
         push: Force per acceleration of the centre [kg].
@@ -111,7 +111,7 @@ def com_of(own: Inertia) -> wp.vec3:
 
 @wp.func
 def carry(of: Inertia, lever: wp.vec3) -> Inertia:
-    """Return an inertia about another origin, from which the first one is ``lever`` away."""
+    """Shift an inertia to another origin, from which the first is at ``lever``."""
     after = Inertia()
     after.mixed = of.mixed + crossed(lever, of.push)
     turned = of.turn + crossed(lever, wp.transpose(of.mixed))

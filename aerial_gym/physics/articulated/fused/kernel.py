@@ -1,4 +1,4 @@
-"""The kernel that advances every environment of a vehicle that bends, composed for one model and control law.
+"""The fused kernel of articulated vehicles, composed for one model and control law.
 
 One step of ``steppers.implicit_euler`` per substep; the state stays in registers over the substeps.
 Letters: E environments, R rotors, D joints, C joints with a drive, U entries of an action, N numbers per environment (of
@@ -34,7 +34,7 @@ from aerial_gym.physics.model import Model
 
 @cache
 def _make_split(num_actions: int, num_driven: int) -> tuple[wp.Function, wp.Function]:
-    """Return functions to the part of an action that the control law takes, and to the commands of the drives."""
+    """Return functions that extract the control law's action and the drives' commands from an action."""
     whole, law, drives = (
         vector_type(num_actions + num_driven),
         vector_type(num_actions),
@@ -59,10 +59,10 @@ def _make_split(num_actions: int, num_driven: int) -> tuple[wp.Function, wp.Func
 
 
 def make_base(articulation: Articulation, vehicle_type: Any) -> wp.Function:
-    """Return a function to the inertia of the base: (vehicle, angular velocity, velocity) -> ``Inertia``.
+    """Return the function of the base's inertia: (vehicle, angular velocity, velocity) -> ``Inertia``.
 
-    It is what the links leave of the whole vehicle in its reference pose, as in ``Articulation.links``; about the base's origin
-    inertias are sums.
+    It is the whole vehicle in its reference pose minus the links, as in ``Articulation.links``; inertias about the base's
+    origin add up.
     """
     carried = float(articulation.link_mass.sum())
     moment = wp.vec3(*(articulation.link_mass @ articulation.link_com).tolist())
@@ -87,12 +87,12 @@ def make_base(articulation: Articulation, vehicle_type: Any) -> wp.Function:
 def make_jointed_kernel(
     model: Model, law: FusedLaw, packing: Packing, *, num_spheres: int, hook: FusedHook | None
 ) -> wp.Kernel:
-    """Return the kernel; what it does not need costs nothing.
+    """Return the kernel; absent features cost nothing.
 
     Args:
-        packing: Where what differs between environments stands.
-        num_spheres: How many spheres of the base are tested against the ground; 0 where there is none.
-        hook: What follows every substep; it sees the base's origin in place of a centre of mass.
+        packing: Rows of numbers that differ between environments.
+        num_spheres: Number of the base's spheres in the ground test; 0 without ground.
+        hook: Hook after every substep, with the base's origin in place of a centre of mass.
     """
     articulation = model.articulation
     assert articulation is not None
@@ -138,7 +138,7 @@ def make_jointed_kernel(
 
     @wp.func
     def solve(whole: Inertia):
-        """Return angular acceleration and acceleration of the base under what it carries."""
+        """Return angular acceleration and acceleration of the base for its articulated inertia."""
         rise, turn = solve_motion(whole.push, whole.mixed, whole.turn, whole.force, whole.torque)
         return -turn, -rise
 
@@ -148,8 +148,8 @@ def make_jointed_kernel(
         swing_vel: joint_vector, given: held_type, thrusts: vector, drags: vector, w_0: wp.vec3, w: wp.vec3,
         move: wp.vec3, dt: float,
     ):  # fmt: skip
-        """Return rates of joints at the end of the step, angular acceleration and acceleration of the base, which weight is not
-        taken off, with what turning at ``w`` and swinging at ``swing_vel`` take."""
+        """Return rates of joints at the end of the step, angular acceleration and acceleration of the base with gravity,
+        with the velocity terms of ``w`` and ``swing_vel``."""
         carried, kept = way_in(vehicle, pos, vel, swing_vel, given, thrusts, drags, w_0, w, move, dt)
         turn = wp.vec3()
         rise = held
@@ -171,9 +171,9 @@ def make_jointed_kernel(
         vehicle: vehicle_type, more: wp.spatial_vector, held: wp.vec3, pos: joint_vector, vel: joint_vector,
         asked: joint_vector, given: held_type, thrusts: vector, drags: vector, w: wp.vec3, move: wp.vec3, dt: float,
     ):  # fmt: skip
-        """Return the results of ``find`` under limited drives and dry friction, and the rate at which turning is taken.
+        """Return the results of ``find`` with limited drives and dry friction, and the rate of velocity terms.
 
-        It is ``steppers.with_drive``; one loop for all solutions has the code of ``find`` once.
+        It is the Warp version of ``steppers.with_drive``, with one loop over all solutions, which compiles ``find`` once.
         """
         acts = given
         rates = vel
@@ -181,9 +181,11 @@ def make_jointed_kernel(
         rise = held
         half_w = w
         half_vel = vel
-        at = vel  # rates whose limited laws are tried
-        efforts = joint_vector()  # that lead to them
-        stage = wp.int32(0)  # 0: turning of the start; 1: of half way; 2: efforts held; 3: without friction
+        at = vel  # rates of the tried limited laws
+        efforts = joint_vector()  # efforts at these rates
+        stage = wp.int32(
+            0
+        )  # velocity terms 0: of the start, 1: of the middle; 2: constant efforts; 3: without friction
         rounds = wp.int32(0)
         while stage < 4:
             of_drives, of_friction = sides(asked, at, dt)

@@ -1,13 +1,12 @@
-"""Accelerations of a tree for one environment by articulated inertias, unrolled for its topology.
+"""Articulated-body algorithm for one environment, unrolled for the topology of a tree.
 
-All is in axes of the base at this instant, so that nothing is turned on the way from link to link, and each link's about its
-own origin: about one for all, the small inertia of a rod about itself would be a difference of large ones, and a thousandth off
-in float32 at the end of a snake. Each link is a function that calls those of the links it carries: an arm is eliminated into
-what carries it before the next one is looked at, and 7 numbers of each joint are kept for the way back, 13 of one that carries
-others. How turning and moving alone accelerate a link is known on the way in, from the base on, and is part of its forces. What
-``implicit_euler`` adds to the mass matrix stands on its diagonal, in the rows of the joints: it is added to each joint's own
-inertia.
-Topology, the shape of links and the laws in the joints are numbers in the code; mass and inertia of the base are read.
+All quantities are in axes of the base at this instant, without rotations between links, and each link's are about its own
+origin. About a common origin, the small inertia of a rod would be a difference of large numbers, wrong by a thousandth in
+float32 at the end of a snake. Each link is a function that calls those of its children. The inward pass eliminates one branch
+before the next, and keeps 7 numbers of each joint for the outward pass, 13 of a joint with children. The velocity-dependent
+acceleration of a link is computed from the base on and is part of its forces. ``implicit_euler`` adds to the diagonal of the
+mass matrix in the rows of joints, hence to each joint's own inertia.
+Topology, link geometry and joint laws are constants of the code; mass and inertia of the base are read.
 Letters: D joints, R rotors, C joints with a drive.
 
 Source: Featherstone (2008), Rigid Body Dynamics Algorithms, section 7.3 (articulated-body algorithm).
@@ -37,12 +36,12 @@ class JointTypes:
 
 
 def joint_types(num_joints: int, params_type: Any, rotor_vector: Any) -> JointTypes:
-    """Return the types for a number of joints, with those of ``efforts.held_of``."""
+    """Return the types for a number of joints, with that of ``efforts.held_of``."""
     vector, rows = vector_type(num_joints), wp.types.matrix(shape=(num_joints, 3), dtype=wp.float32)
     fields = {
-        "free": vector,  # acceleration of the joint where its parent has none
-        "by_turn": rows,  # less of it per angular acceleration of the parent
-        "by_push": rows,  # less of it per acceleration of its origin
+        "free": vector,  # acceleration of the joint for a parent without acceleration
+        "by_turn": rows,  # its decrease per angular acceleration of the parent
+        "by_push": rows,  # its decrease per acceleration of the parent's origin
         "axis": rows,
         "lever": rows,  # origin of the link from that of its parent [m]
     }
@@ -57,14 +56,13 @@ def make_recursion(
     air: Mapping[int, wp.Function],
     hubs: Mapping[int, wp.Function],
 ) -> tuple[wp.Function, wp.Function]:
-    """Return the ways in and back.
+    """Return the inward and the outward pass.
 
-    The way in: (vehicle, position of joints, their rate, that at which swinging is taken, what is held
-    through the step, thrusts, drag torques, angular velocity of the base at the start of the step and that at which turning is
-    taken, its velocity, dt) -> ``Inertia`` of all that the base carries, with what its own rotors do, and what is kept.
-    ``air`` is what effects do to links, as ``on_links.make_on_links`` gives it; ``hubs`` what they do at hubs, as
-    ``hubs.make_hubs`` does.
-    The way back: (kept, angular acceleration and acceleration of the base, weight not taken off it) -> accelerations of joints.
+    Inward: (vehicle, positions of joints, their rates, rates of the velocity terms, constants of the step, thrusts, drag
+    torques, angular velocity of the base at the start of the step and of the velocity terms, its velocity, dt) -> ``Inertia``
+    of all links on the base, with the base's rotors, and the kept numbers. ``air`` has the effects on links of
+    ``on_links.make_on_links``, ``hubs`` those of ``hubs.make_hubs``.
+    Outward: (kept numbers, angular acceleration and acceleration of the base, gravity included) -> accelerations of joints.
     """
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
     held_type = joints.held
@@ -72,7 +70,7 @@ def make_recursion(
     inward, back = _make_nothing(types, joints)
     into: dict[int, wp.Function] = {}
     out: dict[int, wp.Function] = {}
-    for k in reversed(range(articulation.num_joints)):  # links that are carried come later
+    for k in reversed(range(articulation.num_joints)):  # children have larger indices
         into[k] = links[k](_children(articulation, k + 1, into, inward, True))
         revolute = articulation.tree.joints[k].kind == "revolute"
         out[k] = _make_back(k, revolute, joints, _children(articulation, k + 1, out, back, False))
@@ -104,13 +102,13 @@ def make_recursion(
 def _children(
     articulation: Articulation, link: int, functions: dict[int, wp.Function], nothing: wp.Function, way_in: bool
 ) -> wp.Function:
-    """Return the functions of all joints on a link as one; compilers would add the zeros of ``nothing`` to others."""
+    """Return the functions of all joints on a link as one, or ``nothing`` without joints, which avoids additions of zero."""
     carried = [functions[k] for k in articulation.tree.children(link)]
     return reduce(_beside_in if way_in else _beside_back, carried) if carried else nothing
 
 
 def _make_nothing(types: RotorTypes, joints: JointTypes) -> tuple[wp.Function, wp.Function]:
-    """Return the functions of a link that carries nothing."""
+    """Return both functions of a link without children."""
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
     held_type = joints.held
 
@@ -159,7 +157,7 @@ def _beside_back(rest: wp.Function, one: wp.Function) -> wp.Function:
 
 
 def _make_back(k: int, revolute: bool, joints: JointTypes, carried: wp.Function) -> wp.Function:
-    """Return the way back through one joint, and on through what its link carries."""
+    """Return the outward pass through one joint and its link's children."""
     vector, back_type = joints.vector, joints.way_back
 
     @wp.func
@@ -190,7 +188,7 @@ def _make_link(
     air: Mapping[int, wp.Function],
     hubs: Mapping[int, wp.Function],
 ) -> Any:
-    """Return what makes the way in through joint k of that through what its link carries."""
+    """Return a function that makes the inward pass of joint k from that of its link's children."""
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
     held_type = joints.held
     joint, reference = articulation.tree.joints[k], float(articulation.reference[k])
@@ -238,7 +236,7 @@ def _make_link(
                 swung = swung + rate * wp.cross(ang_vel, axis)
             turn_0 = turn
             move_0 = move
-            if wp.static(felt and ahead):  # what the air does is of the start of the step
+            if wp.static(felt and ahead):  # effects of the air use the start of the step
                 turn_0 = ang_vel_0
                 move_0 = lin_vel_0 + wp.cross(ang_vel_0, lever)
                 if wp.static(revolute):
@@ -297,10 +295,10 @@ def _make_link(
 def make_rotors(
     articulation: Articulation, link: int, types: RotorTypes, joints: JointTypes, hubs: wp.Function | None
 ) -> wp.Function:
-    """Return what the rotors of a link do to it.
+    """Return the function that adds the rotors of a link to its inertia.
 
-    (vehicle, what is held through the step, thrusts, drag torques, rotation, place of its origin, its angular velocity and
-    velocity at the start of the step, inertia) -> inertia. ``hubs`` is what effects do there (``hubs.make_hubs``).
+    Arguments: vehicle; constants of the step; thrusts; drag torques; rotation; position of its origin; its angular velocity and
+    velocity at the start of the step; inertia. ``hubs`` is the function of effects at hubs (``hubs.make_hubs``).
     """
     vector, vehicle_type, held_type = types.vector, types.vehicle, joints.held
     start, blown = wp.vec3(*articulation.origins[link].tolist()), hubs is not None
