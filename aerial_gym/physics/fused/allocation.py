@@ -1,4 +1,4 @@
-"""From a wrench to thrusts where rotors are at their limits, for one environment: the twin of ``control.allocation.allot``.
+"""Allocation of a wrench to thrusts with rotor limits: the Warp version of ``control.allocation.allot``.
 
 Letters: R rotors.
 """
@@ -8,24 +8,24 @@ import warp as wp
 from aerial_gym.physics.fused.types import rotor_types
 
 NEGLIGIBLE = wp.constant(1.0e-6)
-"""A difference below this share of the sum is round-off; so is an entry of the pseudo-inverse that, times the largest entry of
-the matrix for that force or torque, is below it: a rotor that has a part in it is near 1."""
+"""Relative size of round-off: of differences to their sum, and of entries of the pseudo-inverse times the largest entry of the
+matrix for that force or torque, which is near 1 for a rotor with a part in it."""
 
 UNLIMITED = wp.constant(1.0e9)
-"""Thrust along body z [N] to which a rotor that does not carry sets no limit; finite, so that gradients are."""
+"""Thrust limit along body z [N] of a rotor without part in it; finite, for finite gradients."""
 
 
 def make_prioritised_thrust(
     num_rotors: int, general: bool = False, *, idle: bool, lateral: bool, differentiable: bool = False
 ) -> wp.Function:
-    """Return ``control.allocation.allot`` for one environment, from parameters and wrench to thrusts [N] and two shares.
+    """Return the Warp version of ``control.allocation.allot``, from parameters and wrench to thrusts [N] and two shares.
 
-    Where no rotor is at a limit, which is nearly always, it is the product with the pseudo-inverse and 2 R comparisons.
+    In the usual case without saturation it is the product with the pseudo-inverse and 2 R comparisons.
 
     Args:
-        general: Whether rotors are of any kind.
+        general: Whether to support every kind of rotor.
         idle: Whether any rotor has no part in the force along body z.
-        lateral: Whether wrenches have a force beside body z.
+        lateral: Whether wrenches have lateral force.
         differentiable: Whether the adjoint is needed.
     """
     types = rotor_types(num_rotors, general)
@@ -53,11 +53,10 @@ def make_prioritised_thrust(
 
 
 def _make_spread(num_rotors: int, general: bool, *, idle: bool, lateral: bool, differentiable: bool) -> wp.Function:
-    """Return the rare path, where a rotor is at a limit, as torch has it: pair by pair.
+    """Return the rare path with a saturated rotor, which treats pairs of rotors as in torch.
 
-    What it takes in registers and instructions of a GPU is taken from all that is done beside it: unrolled, it takes more
-    registers than the rest of a kernel. So its loops stay loops, by a step that the compiler does not know. An adjoint needs
-    what every round computed, which Warp keeps of unrolled loops alone: there the step is known.
+    Unrolled, it would need more GPU registers than the rest of a kernel. A loop step that the compiler does not know keeps its
+    loops. An adjoint needs the values of every iteration, which Warp keeps for unrolled loops only; there the step is known.
     """
     types = rotor_types(num_rotors, general)
     command_type, vector = types.command, types.vector
@@ -83,7 +82,7 @@ def _make_spread(num_rotors: int, general: bool, *, idle: bool, lateral: bool, d
                     wp.min(low, high), wp.max(low, high), turn_of(row, wanted) / row[2], rest_of(row, wanted) / row[2]
                 )
         shares = wp.vec2()
-        for stage in range(0, 2, one):  # roll and pitch, then what is left
+        for stage in range(0, 2, one):  # roll and pitch, then yaw and lateral force
             share = wp.float32(1.0)
             for i in range(0, wp.static(num_rotors), one):
                 if wp.static(idle):
@@ -95,7 +94,7 @@ def _make_spread(num_rotors: int, general: bool, *, idle: bool, lateral: bool, d
                     upper = table[j, SLOPE + stage]
                     lower = table[i, SLOPE + stage]
                     need = upper - lower
-                    if need > NEGLIGIBLE * (wp.abs(upper) + wp.abs(lower)):  # else of one kind: they stay level
+                    if need > NEGLIGIBLE * (wp.abs(upper) + wp.abs(lower)):  # else equal rotors
                         share = fitting(share, table[j, CEILING] - table[i, FLOOR], need)
             shares[stage] = share
             if stage == 0:
@@ -136,12 +135,12 @@ def _make_spread(num_rotors: int, general: bool, *, idle: bool, lateral: bool, d
 
 
 FLOOR, CEILING, SLOPE, TWIST = (wp.constant(column) for column in range(4))
-"""Columns of the table of rotors that carry: limits of the force along body z, and what roll and pitch and the rest take of
-it."""
+"""Columns of the table of lifting rotors: limits of the force along body z, and the shares of roll and pitch, and of yaw and
+lateral force, in it."""
 
 
 def _make_parts(lateral: bool) -> tuple[wp.Function, wp.Function]:
-    """Return functions to the thrust of a rotor for roll and pitch torque, and for the rest: yaw torque and lateral force."""
+    """Return the functions of a rotor's thrust for roll and pitch torque, and for yaw torque and lateral force."""
 
     @wp.func
     def turn_of(row: wp.spatial_vector, wanted: wp.spatial_vector) -> float:
@@ -159,7 +158,7 @@ def _make_parts(lateral: bool) -> tuple[wp.Function, wp.Function]:
 
 @wp.func
 def fitting(share: float, room: float, change: float) -> float:
-    """Return a share, or less: that of a change for which there is room."""
+    """Return the smaller of a share and ``room / change``."""
     if share * wp.abs(change) > wp.max(room, 0.0):
         share = wp.max(room, 0.0) / wp.abs(change)
     return share
@@ -167,5 +166,5 @@ def fitting(share: float, room: float, change: float) -> float:
 
 @wp.func
 def room_of(low: float, high: float, thrust: float, change: float) -> float:
-    """Return how far a thrust can go the way of a change [N]."""
+    """Return the margin of a thrust to its limit in the direction of a change [N]."""
     return wp.where(change > 0.0, high - thrust, thrust - low)

@@ -1,4 +1,4 @@
-"""From an action to commanded rotor speeds, for one environment: control law, allocation, limits.
+"""Commanded rotor speeds of an action in the fused kernel: control law, allocation, limits.
 
 Letters: R rotors, U entries of an action.
 """
@@ -12,7 +12,7 @@ from aerial_gym.physics.fused.types import rotor_types
 
 
 def make_command(law: FusedLaw, num_rotors: int, general: bool, *, differentiable: bool = False) -> wp.Function:
-    """Return a function from the motion of the body origin and an action to commanded rotor speeds [rad/s]."""
+    """Return the function from motion of the body origin and action to commanded rotor speeds [rad/s]."""
     types = rotor_types(num_rotors, general)
     command_type, vector, action_type = types.command, types.vector, vector_type(law.num_prepared)
     gains_type, law_wrench = law.gains_type or NoGains, law.wrench
@@ -54,7 +54,7 @@ def make_command(law: FusedLaw, num_rotors: int, general: bool, *, differentiabl
 
 
 def make_limited(num_rotors: int, general: bool) -> wp.Function:
-    """Return a function that clamps thrusts [N] to their limits."""
+    """Return the function that clamps thrusts [N] to their limits."""
     types = rotor_types(num_rotors, general)
     command_type, vector = types.command, types.vector
 
@@ -69,7 +69,7 @@ def make_limited(num_rotors: int, general: bool) -> wp.Function:
 
 
 def make_speed_of(num_rotors: int, general: bool) -> wp.Function:
-    """Return a function from thrusts [N] within the limits to what is commanded of the rotors."""
+    """Return the function from thrusts [N] within the limits to rotor commands, speeds [rad/s] or in force mode thrusts."""
     types = rotor_types(num_rotors, general)
     command_type, vector = types.command, types.vector
 

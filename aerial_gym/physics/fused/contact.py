@@ -1,4 +1,4 @@
-"""Compliant contact with friction as Warp functions: the twin of ``physics.contact``, where formula and source stand.
+"""Compliant contact with friction: the Warp version of ``physics.contact``, which states formula and source.
 
 Letters: C contacts.
 """
@@ -16,18 +16,18 @@ from aerial_gym.physics.fused.types import rotor_types
 
 @wp.struct
 class ContactParameters:
-    """How surfaces push."""
+    """Parameters of contact forces."""
 
     stiffness: float  # per mass [1/s²]
     damping: float  # per mass [1/s]
     friction: float
-    least_approach: float  # speed from which a touch is a crash [m/s]
-    share: float  # of dt times a change of velocity in the position at the end of a step
-    iterations: int  # not a constant of the code, so that the compiler leaves the loop a loop
+    least_approach: float  # least approach speed of a crash [m/s]
+    share: float  # displacement at the end of a step per dt times the change of velocity
+    iterations: int  # an argument, not a constant, so that the loop is not unrolled
 
 
 def contact_parameters(cfg: ContactCfg | None, share: float) -> ContactParameters:
-    """Return the struct of a configuration; zeros where there is none."""
+    """Return the struct of a configuration; zeros for None."""
     struct = ContactParameters()
     struct.iterations = ITERATIONS + CAUTIOUS_ITERATIONS
     if cfg is not None:
@@ -59,7 +59,7 @@ def _choose_branch(
 ):  # fmt: skip
     """Return the impulse of friction in the last solution, the direction of the next if it slides, else 0, and its grip.
 
-    ``base`` and ``heading``, 0 if it stuck, are those of the last solution; ``press`` and ``slip`` followed from it.
+    ``base`` and ``heading`` (0 for sticking) are those of the last solution, ``press`` and ``slip`` its results.
     """
     limit = law.friction * wp.max(press, 0.0)
     ease = wp.min(limit / wp.max(wp.length(slip), 1.0e-15), penalty)
@@ -71,7 +71,7 @@ def _choose_branch(
     if sticks:
         return rub, wp.vec3(), penalty
     onwards = wp.where(slid, -slip, rub)
-    onwards -= wp.dot(normal, onwards) * normal  # again: of hardly any slip, rounding leaves as much along the normal
+    onwards -= wp.dot(normal, onwards) * normal  # again, because of rounding along the normal at very small slip
     return rub, wp.normalize(onwards), ease
 
 
@@ -98,10 +98,10 @@ def displaced(
 
 @cache
 def make_velocity_change(count: int) -> wp.Function:
-    """Return a function to the changes of velocity [m/s] and angular velocity [rad/s], world, by up to ``count`` contacts.
+    """Return the function of the changes of velocity [m/s] and angular velocity [rad/s], world, by up to ``count`` contacts.
 
-    It takes mass and inertia [kg, kg m², body], attitude, velocity and angular velocity [world] after a step without contact,
-    and of each contact gap [m; >= 0: none], lever [m], normal and surface velocity [m/s], world.
+    Its inputs are mass and inertia [kg, kg m², body], attitude, velocity and angular velocity [world] after a step without
+    contact, and of each contact gap [m; >= 0: none], lever [m], normal and surface velocity [m/s], world.
     """
     vector, rows = vector_type(count), rows_of(count)
 
@@ -146,7 +146,7 @@ def make_velocity_change(count: int) -> wp.Function:
             d = rotation * inertia * wp.transpose(rotation)
             force = wp.vec3()
             torque = wp.vec3()
-            for i in range(wp.static(count)):  # branches by the last solution, then their sum
+            for i in range(wp.static(count)):  # branches of the last solution, then their sum
                 if gaps[i] < 0.0:
                     lever = levers[i]
                     normal = normals[i]
@@ -193,10 +193,10 @@ def make_velocity_change(count: int) -> wp.Function:
 
 
 def make_push_off_ground(num_rotors: int, num_spheres: int, general: bool) -> wp.Function:
-    """Return a function that gives one environment the impulses of a horizontal plane.
+    """Return the function of a horizontal plane's impulses on one environment.
 
-    It takes spheres from the body origin, and motion of the centre of mass before and after a step without contact; it
-    returns the motion, the impulse [N s, world] and whether this was a crash. What touches nothing comes back bit for bit.
+    Its inputs are spheres from the body origin, and the motion of the centre of mass before and after a step without contact.
+    It returns the motion, the impulse [N s, world] and a crash flag; a motion without contact is returned bit for bit.
     """
     vehicle_type, vector, rows = (
         rotor_types(num_rotors, general).vehicle,

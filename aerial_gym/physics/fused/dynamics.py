@@ -1,4 +1,4 @@
-"""Accelerations and steppers of one environment, composed for the chosen effects as Warp functions.
+"""Accelerations and integrators of the fused kernel, composed for the chosen effects as Warp functions.
 
 Letters: R rotors.
 """
@@ -87,7 +87,7 @@ def make_accelerations(model: Model, *, upright: bool) -> wp.Function:
 
 
 def _make_hang(model: Model) -> wp.Function | None:
-    """Return ``rigid_body.with_load`` for one environment; the last result is the rate of change of the load."""
+    """Return the Warp version of ``rigid_body.with_load``; the last result is the rate of change of the load."""
     if not model.effects[LoadEffect]:
         return None
     ((effect, access),) = value_access(model, LoadEffect)
@@ -140,7 +140,7 @@ def angular_acceleration(inertia: wp.mat33, inertia_inverse: wp.mat33, ang_vel: 
 
 @wp.func
 def settle(load: wp.spatial_vector) -> wp.spatial_vector:
-    """Return direction and rate of a link with ``|n| = 1``, ``n . n' = 0``."""
+    """Normalise direction and rate of a link to ``|n| = 1``, ``n . n' = 0``."""
     direction = wp.normalize(wp.spatial_top(load))
     rate = wp.spatial_bottom(load)
     return wp.spatial_vector(direction, rate - wp.dot(rate, direction) * direction)
@@ -221,7 +221,7 @@ def _make_euler_in_fluid(
     coast: wp.Function,
     free_accelerations: wp.Function,
 ) -> wp.Function:
-    """Return ``integrators.euler_in_fluid`` of one environment."""
+    """Return the Warp version of ``integrators.euler_in_fluid``."""
 
     @wp.func
     def swing_on(load: wp.spatial_vector, dt: float) -> wp.spatial_vector:

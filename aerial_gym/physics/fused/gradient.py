@@ -1,6 +1,6 @@
 """Gradients through launches of the fused kernel: Warp's tape as a torch function.
 
-A launch advances by one substep here, from tensors to other tensors: the tape needs every state on the way.
+A launch advances one substep here, into new tensors, because the tape needs every intermediate state.
 Letters: E environments, N numbers per environment.
 """
 
@@ -29,7 +29,7 @@ class Rollout:
         substeps: int,
         kinds: Sequence[type],
     ) -> None:
-        """Take the kernel, its structs, ground and scalars, and the Warp types of state and action."""
+        """Store the kernel, its structs, ground and scalars, and the Warp types of state and action."""
         self.kernel, self.shared, self.substeps = kernel, list(shared), substeps
         *plane, self.contact, self.impulse = ground
         self.scalars = (*plane, gravity, dt)

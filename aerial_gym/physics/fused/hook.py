@@ -1,4 +1,4 @@
-"""The place of a ``SubstepHook`` in the fused kernel, and the twin of ``Trajectory``.
+"""Substep hooks in the fused kernel, and the Warp version of ``Trajectory``.
 
 Letters: E environments, K substeps of a step, D joints.
 """
@@ -30,7 +30,7 @@ class FusedHook:
 
 @wp.struct
 class Substep:
-    """A substep of one environment that has been integrated. Positions and velocities are those of the centre of mass."""
+    """An integrated substep of one environment. Positions and velocities are those of the centre of mass."""
 
     dt: float  # [s]
     mass: float  # [kg]
@@ -48,7 +48,7 @@ class Substep:
 
 @wp.struct
 class NoHook:
-    """In the place of a hook's data where there is none: a launch costs the more the longer its arguments are."""
+    """Small stand-in for absent hook data, because the cost of a launch grows with the size of its arguments."""
 
     nothing: int
 
@@ -63,7 +63,7 @@ class TrajectoryArrays:
 
 @wp.struct
 class JointTrajectoryArrays:
-    """The same of a vehicle that bends."""
+    """Poses and joint positions of an articulated vehicle at the start of a step and after every substep."""
 
     position: wp.array2d[wp.vec3]  # (K + 1, E) body origin, world [m]
     attitude: wp.array2d[wp.quat]  # (K + 1, E) body to world, xyzw
@@ -72,7 +72,7 @@ class JointTrajectoryArrays:
 
 @wp.func
 def _record_poses(position: wp.array2d[wp.vec3], attitude: wp.array2d[wp.quat], env: int, k: int, done: Substep):
-    """Write the pose after substep k, and before the first one the pose at which the step starts."""
+    """Write the pose after substep k, and for the first substep also the initial pose of the step."""
     if k == 0:
         position[0, env] = done.first_position - rotate(done.first_attitude, done.com)
         attitude[0, env] = done.first_attitude
@@ -82,20 +82,20 @@ def _record_poses(position: wp.array2d[wp.vec3], attitude: wp.array2d[wp.quat], 
 
 @wp.func
 def record(data: TrajectoryArrays, env: int, k: int, done: Substep):
-    """Write the poses and return the motion as it came."""
+    """Write the poses and return the unchanged motion."""
     _record_poses(data.position, data.attitude, env, k, done)
     return done.position, done.attitude, done.lin_vel, done.ang_vel
 
 
 @wp.func
 def record_jointed(data: JointTrajectoryArrays, env: int, k: int, done: Substep):
-    """Do the same beside joints."""
+    """Write the poses of a vehicle with joints and return the unchanged motion."""
     _record_poses(data.position, data.attitude, env, k, done)
     return done.position, done.attitude, done.lin_vel, done.ang_vel
 
 
 def trajectory_hook(position: wp.array, attitude: wp.array, joint_pos: wp.array | None = None) -> FusedHook:
-    """Return the hook that writes these arrays, (K + 1, E), and (K + 1, E, D) of joints."""
+    """Return the hook that writes arrays of poses, (K + 1, E), and of joints, (K + 1, E, D)."""
     if joint_pos is None:
         data = TrajectoryArrays()
         data.position, data.attitude = position, attitude

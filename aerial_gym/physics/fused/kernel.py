@@ -1,4 +1,4 @@
-"""The kernel that advances every environment by all substeps of a step, composed for one model, law and stepper.
+"""The fused kernel: all substeps of a step in every environment, composed for one model, law and integrator.
 
 Letters: E environments, R rotors, U entries of an action, N numbers per environment, C collision spheres.
 """
@@ -24,7 +24,7 @@ from aerial_gym.physics.model import Model
 
 @cache
 def _make_access(kind: Any) -> tuple[wp.Function, wp.Function]:
-    """Return functions that read and write one vector of an array, with an adjoint."""
+    """Return differentiable functions that read and write one vector of an array."""
 
     @wp.func
     def get(source: wp.array[kind], i: int) -> kind:
@@ -49,15 +49,15 @@ def make_kernel(
     hook: FusedHook | None,
     differentiable: bool,
 ) -> wp.Kernel:
-    """Return the kernel; what it does not need costs nothing.
+    """Return the kernel; absent features cost nothing.
 
     Args:
         model: Gives the number of rotors and the effects.
-        packing: Where what differs between environments stands.
-        num_spheres: How many spheres are tested against the ground; 0 where there is none.
-        compliant: Whether the ground pushes back.
-        com_offset: Whether the centre of mass is beside the body origin anywhere.
-        differentiable: Whether Warp also makes the adjoint.
+        packing: Rows of numbers that differ between environments.
+        num_spheres: Number of spheres in the ground test; 0 without ground.
+        compliant: Whether the ground has contact forces.
+        com_offset: Whether any centre of mass differs from the body origin.
+        differentiable: Whether Warp generates the adjoint.
     """
     num_rotors, (num_params, num_memory) = model.vehicle.num_rotors, num_values(model)
     general, types = not model.vehicle.plain, types_of(model)
@@ -158,8 +158,8 @@ def make_kernel(
         lin_vel_out: wp.array[wp.vec3],
         ang_vel_out: wp.array[wp.vec3],
         rotor_speed_out: wp.array[vector],
-        contact_out: wp.array[wp.bool],  # (E,) set where the ground is touched
-        impulse_out: wp.array[wp.vec3],  # (E,) world [N s], added to where the ground pushes
+        contact_out: wp.array[wp.bool],  # (E,) set at ground contact
+        impulse_out: wp.array[wp.vec3],  # (E,) world [N s], the ground's impulse is added
     ):
         """Advance one environment; its state stays in registers over the substeps."""
         env = wp.tid() + first
@@ -189,7 +189,7 @@ def make_kernel(
         if wp.static(any_load):
             for i in range(6):
                 load[i] = effects.numbers[wp.static(num_memory - num_loads) + i, env]
-        if wp.static(differentiable):  # no loop: its adjoint would need the states on the way
+        if wp.static(differentiable):  # no loop, because its adjoint would need the intermediate states
             x, q, v, w, n, load, params = step_once(
                 vehicle, command_params, gains, params, gravity, x, q, v, w, n, load, u, memory, env, since, dt
             )

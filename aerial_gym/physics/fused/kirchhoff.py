@@ -1,4 +1,4 @@
-"""Free motion of a hull and the water that it sets in motion, as Warp functions: the twin of ``physics.kirchhoff``."""
+"""Free motion of a hull with added mass: the Warp version of ``physics.kirchhoff``."""
 
 from typing import Any
 
@@ -21,7 +21,7 @@ def _turned_half(a: wp.vec3, vector: wp.vec3) -> wp.vec3:
 def _slope(
     inverse_mass: wp.vec3, turn: wp.vec3, v: wp.vec3, w: wp.vec3, p: wp.vec3, spin: wp.vec3, axis: wp.vec3, half: float
 ) -> wp.vec3:
-    """Return the slope of what Newton's method makes zero, along an axis; ``turn`` is J times the axis."""
+    """Return the derivative of Newton's residual along an axis; ``turn`` is J times the axis."""
     more = half * _turned_half(half * w, wp.cross(p, axis))
     gyroscopic = wp.cross(axis, spin) + wp.cross(w, turn)
     return turn + half * (gyroscopic + wp.cross(wp.cw_mul(inverse_mass, more), p) + wp.cross(v, more))
@@ -52,7 +52,7 @@ def _mean_ang_vel(inverse_mass: wp.vec3, inertia: wp.mat33, lin_vel: wp.vec3, an
 
 
 def make_inverse_mass(model: Model) -> wp.Function:
-    """Return a function to one over the mass of hull and fluid along each body axis [1/kg]."""
+    """Return the function of the inverse mass of hull and fluid along each body axis [1/kg]."""
     ((effect, pick),) = value_access(model, FluidEffect)
     added_mass, get = effect.warp_added_mass(), pick.get
     vehicle_type: Any = types_of(model).vehicle
@@ -68,9 +68,9 @@ def make_inverse_mass(model: Model) -> wp.Function:
 
 
 def make_coast(model: Model) -> tuple[wp.Function, wp.Function]:
-    """Return ``integrators.coast`` of one environment without a load, and the accelerations of that motion.
+    """Return the Warp version of ``integrators.coast`` without a load, and the function of the accelerations of that motion.
 
-    The second gives them at an instant: linear [m/s²], world, and angular [rad/s²], body.
+    The accelerations are instantaneous: linear [m/s²], world, and angular [rad/s²], body.
     """
     ((effect, pick),) = value_access(model, FluidEffect)
     wind, added_mass, get, inverse_mass = make_wind(model), effect.warp_added_mass(), pick.get, make_inverse_mass(model)

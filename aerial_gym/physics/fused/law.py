@@ -1,4 +1,4 @@
-"""What the fused kernel needs of a control law.
+"""Interface of a control law to the fused kernel.
 
 Letters: E environments, R rotors.
 """
@@ -17,7 +17,7 @@ from aerial_gym.physics.vehicle import Vehicle
 
 @wp.struct
 class NoGains:
-    """Stands for the gains of a law that has none."""
+    """Stand-in for the gains of a law without gains."""
 
     nothing: float
 
@@ -105,7 +105,7 @@ class FusedLaw:
 
 
 def preparation(prepare: wp.Function | None, num_actions: int) -> wp.Function:
-    """Return ``FusedLaw.prepare``, or if there is none what leaves an action as it is."""
+    """Return ``FusedLaw.prepare``, or the identity without one."""
     action_type = vector_type(num_actions)
 
     @wp.func

@@ -1,4 +1,4 @@
-"""How the numbers of an environment are read by the fused kernel: from a shared struct, or from their packed rows.
+"""Readers of an environment's numbers in the fused kernel: from a shared struct, or from packed rows.
 
 Letters: E environments, R rotors, N packed numbers.
 """
@@ -19,7 +19,7 @@ from aerial_gym.physics.fused.types import RotorTypes
 
 @cache
 def make_reader(kind: Any, height: int, width: int) -> wp.Function:
-    """Return a function that reads a vector (width 0) or matrix of one environment from the packed tensor."""
+    """Return the function that reads a vector (width 0) or matrix of one environment from the packed tensor."""
 
     @wp.func
     def read_vector(source: wp.array2d[float], first: int, env: int) -> kind:
@@ -41,7 +41,7 @@ def make_reader(kind: Any, height: int, width: int) -> wp.Function:
 
 @wp.func
 def read_symmetric(source: wp.array2d[float], first: int, env: int) -> wp.mat33:
-    """Return a symmetric matrix of one environment from its ``SYMMETRIC`` entries."""
+    """Read a symmetric matrix of one environment from its ``SYMMETRIC`` entries."""
     xx, xy, xz = source[first, env], source[first + 1, env], source[first + 2, env]
     yy, yz, zz = source[first + 3, env], source[first + 4, env], source[first + 5, env]
     return wp.mat33(xx, xy, xz, xy, yy, yz, xz, yz, zz)
@@ -49,7 +49,7 @@ def read_symmetric(source: wp.array2d[float], first: int, env: int) -> wp.mat33:
 
 @cache
 def make_column_reader(kind: Any, height: int, first_column: int, width: int) -> wp.Function:
-    """Return a function that reads a matrix of one environment of which some columns are packed and the others are zero."""
+    """Return the function that reads a matrix of one environment with some packed columns and zeros elsewhere."""
 
     @wp.func
     def read_columns(source: wp.array2d[float], first: int, env: int) -> kind:
@@ -65,7 +65,7 @@ def make_column_reader(kind: Any, height: int, first_column: int, width: int) ->
 def make_vehicle_reader(
     types: RotorTypes, packed: Mapping[str, int], entries: Mapping[str, tuple[int, ...]]
 ) -> wp.Function:
-    """Return a function that completes the shared vehicle with what is per environment."""
+    """Return the function that completes the shared vehicle with an environment's own numbers."""
     num_rotors = types.vector._length_
     few: dict[str, wp.Function] = {}
     if "inertia" in entries:
@@ -78,7 +78,7 @@ def make_vehicle_reader(
 def make_command_reader(
     types: RotorTypes, packed: Mapping[str, int], entries: Mapping[str, tuple[int, ...]]
 ) -> wp.Function:
-    """Return a function that completes the shared command parameters with what is per environment."""
+    """Return the function that completes the shared command parameters with an environment's own numbers."""
     kinds, num_rotors = types.command.cls.__annotations__, types.vector._length_
     columns = {name: COMMAND_COLUMNS[name] for name in entries}
     few = {name: make_column_reader(kinds[name], num_rotors, c.start, len(c)) for name, c in columns.items()}
@@ -90,7 +90,7 @@ def make_completion(struct: Any, packed: Mapping[str, int], few: Mapping[str, wp
 
     Args:
         packed: First row of each packed field.
-        few: Readers of fields of which only some entries are packed.
+        few: Readers of fields with only some packed entries.
     """
     kinds = {name: kind for name, kind in struct.cls.__annotations__.items() if name in packed}
     names: dict[str, Any] = {f"read_{n}": few[n] if n in few else _reader_of(kind) for n, kind in kinds.items()}
@@ -108,12 +108,12 @@ def _reader_of(kind: Any) -> wp.Function:
 
 @wp.func
 def read_number(source: wp.array2d[float], first: int, env: int) -> float:
-    """Return one number of one environment."""
+    """Read one number of one environment."""
     return source[first, env]
 
 
 def num_entries(kind: Any) -> int:
-    """Return how many numbers a float, a vector, a matrix or a struct of those has."""
+    """Return the number of floats in a float, vector, matrix or struct of those."""
     if hasattr(kind, "cls"):
         return sum(map(num_entries, kind.cls.__annotations__.values()))
     return 1 if kind is float else prod(kind._shape_)
@@ -135,9 +135,9 @@ def make_struct_reader(struct: Any) -> wp.Function:
 
 
 def written(name: str, code: str, names: Mapping[str, Any]) -> wp.Function:
-    """Return the ``wp.func`` of a source, which may call ``names``."""
+    """Compile a source that may call ``names``, and return its ``wp.func``."""
     file = f"<{__name__} {next(_number)}>"
-    linecache.cache[file] = (len(code), None, code.splitlines(keepends=True), file)  # where Warp looks for the source
+    linecache.cache[file] = (len(code), None, code.splitlines(keepends=True), file)  # Warp reads the source here
     namespace = {"wp": wp, "__name__": __name__, **names}
     exec(compile(code, file, "exec"), namespace)
     return wp.func(namespace[name])
@@ -147,7 +147,7 @@ _number = count()
 
 
 def make_gains_reader(law: FusedLaw, first: int | None) -> wp.Function:
-    """Return a function to the gains of an environment; ``first`` is their row, None where all have the same."""
+    """Return the function of an environment's gains; ``first`` is their row, None for shared gains."""
     gains_type = law.gains_type or NoGains
 
     @wp.func

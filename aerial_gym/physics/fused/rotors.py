@@ -14,7 +14,7 @@ from aerial_gym.physics.fused.types import rotor_types
 
 @wp.func
 def lag_acceleration(speed: float, command: float, decay_up: float, decay_down: float, jump: float, dt: float) -> float:
-    """Return ``rotors.lag_acceleration`` of one rotor, from its decay over half a step."""
+    """Return the Warp version of ``rotors.lag_acceleration`` for one rotor, from its decay over half a step."""
     decay = wp.where(command > speed, decay_up, decay_down)
     if decay > 0.0:
         return -2.0 * wp.log(decay) / dt * (command - speed)
@@ -23,23 +23,23 @@ def lag_acceleration(speed: float, command: float, decay_up: float, decay_down: 
 
 @wp.func
 def lag_speed(speed: float, command: float, decay_up: float, decay_down: float) -> float:
-    """Return the rotor speed [rad/s] after a span in which the distance to the command shrinks by ``exp(-span / tau)``."""
+    """Return the rotor speed [rad/s] after a span with the decay ``exp(-span / tau)`` of the distance to the command."""
     return command + (speed - command) * wp.where(command > speed, decay_up, decay_down)
 
 
 @cache
 def make_limited_lag(real: Any) -> wp.Function:
-    """Return ``rotor_lag.limited_lag`` of one rotor in a precision, with the arguments of it."""
+    """Return the Warp version of ``rotor_lag.limited_lag`` for one rotor in a given precision."""
 
     @wp.func
     def distance_left(distance: real, tau: real, slew: real, span: real) -> real:
-        """Return the rest of a distance >= 0 after a span [s]: at the slew rate first, then exponentially."""
+        """Return the remaining part of a distance >= 0 after a span [s]: slew rate first, then exponential decay."""
         linear = wp.min(slew * span, wp.max(distance - slew * tau, real(0.0)))
         return (distance - linear) * wp.exp(-wp.max(span - linear / slew, real(0.0)) / tau)
 
     @wp.func
     def fall_time(distance: real, less: real, tau: real, slew: real) -> real:
-        """Return the time [s] in which a distance shrinks to a smaller one, > 0."""
+        """Return the time [s] in which a distance shrinks to ``less`` > 0."""
         linear = wp.min(wp.max(distance - slew * tau, real(0.0)), distance - less)
         return linear / slew + tau * wp.log((distance - linear) / less)
 
@@ -62,7 +62,7 @@ def make_limited_lag(real: Any) -> wp.Function:
 def slew_limited_rate(
     speed: float, command: float, tau_up: float, tau_down: float, slew_up: float, slew_down: float
 ) -> float:
-    """Return ``rotor_lag.rate_towards`` of one rotor; without lag the rate is the slew rate."""
+    """Return the Warp version of ``rotor_lag.rate_towards`` for one rotor; without lag it is the slew rate."""
     falls = speed * (command - speed) < 0.0
     slew = wp.where(falls, slew_down, slew_up)
     return wp.clamp((command - speed) / wp.where(falls, tau_down, tau_up), -slew, slew)
@@ -70,11 +70,10 @@ def slew_limited_rate(
 
 @cache
 def make_follow(num_rotors: int, general: bool, late: bool = False, *, stages: int = 1) -> wp.Function:
-    """Return a function to the states after one or two stages of a stepper, (vehicle, states, commands, span [s]) -> states.
+    """Return the function of the states after one or two stages, (vehicle, states, commands, span [s]) -> states.
 
-    Two stages at once are rounded once: a state near its command stands still where what is left of the way in a stage is less
-    than half a unit in its last place, so that stages one by one end twice as far from the command. With ``late`` two
-    commands follow each other in a step.
+    Two stages in one call are rounded once. A state near its command stops when its change in a stage is below half a unit in
+    the last place, so separate stages end twice as far from the command. With ``late``, the command changes within a step.
     """
     types, limited_lag = rotor_types(num_rotors, general), make_limited_lag(wp.float32)
     vehicle_type, vector, succession = types.vehicle, types.vector, types.succession
@@ -124,7 +123,7 @@ def make_follow(num_rotors: int, general: bool, late: bool = False, *, stages: i
 
 @cache
 def make_stage_rates(num_rotors: int, general: bool, late: bool = False) -> wp.Function:
-    """Return ``rotor_lag.stage_rates``, (vehicle, states at start, middle and end, commands, step [s]) -> three rates."""
+    """Return the Warp version of ``rotor_lag.stage_rates``, (vehicle, three states, commands, step [s]) -> three rates."""
     types = rotor_types(num_rotors, general)
     vehicle_type, vector, succession = types.vehicle, types.vector, types.succession
 
@@ -175,7 +174,7 @@ def make_stage_rates(num_rotors: int, general: bool, late: bool = False) -> wp.F
 
 @cache
 def make_dead_band(num_rotors: int) -> wp.Function:
-    """Return ``rotor_lag.stop_in_dead_band`` for general rotors, (vehicle, commands) -> commands."""
+    """Return the Warp version of ``rotor_lag.stop_in_dead_band``, (vehicle, commands) -> commands."""
     types = rotor_types(num_rotors, general=True)
     vehicle_type, vector = types.vehicle, types.vector
 

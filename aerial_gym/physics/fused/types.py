@@ -1,4 +1,4 @@
-"""Warp types that depend on the number of rotors, made once for each number.
+"""Warp types that depend on the number of rotors, created once for each number.
 
 Letters: R rotors.
 """
@@ -19,31 +19,31 @@ class RotorTypes:
     vector: Any  # A number of each rotor
     rows: Any  # Three numbers of each rotor, (R, 3)
     allocation: Any  # (R, 6)
-    vehicle: Any  # `wp.struct` of what the equations of motion need
-    command: Any  # `wp.struct` of what leads from a control law to commanded rotor speeds
-    condition: Any  # `wp.struct` of what a force may depend on: `effects.Condition` for one environment
+    vehicle: Any  # `wp.struct` of the vehicle in the equations of motion
+    command: Any  # `wp.struct` of allocation and thrust maps, from a control law to commanded rotor speeds
+    condition: Any  # `wp.struct` of `effects.Condition` for one environment
     succession: Any  # `wp.struct` of two commands in one step: `rotor_lag.Succession` for one environment
     moment: Any  # `wp.struct` of the start of a substep: `effects.Moment` for one environment
 
 
 @wp.struct
 class Hub:
-    """What one rotor feels."""
+    """Air and surroundings of one rotor."""
 
     speed: float  # [rad/s]
     thrust: float  # of its own [N]
     radius: float  # [m]
-    wake_room: float  # to what the wake blows at, ground or ceiling [m]
-    inlet_room: float  # to what bounds the air that is drawn in [m]
+    wake_room: float  # distance to the surface in the wake, ground or ceiling [m]
+    inlet_room: float  # distance to the surface at the inlet [m]
     axis: wp.vec3  # body
     velocity: wp.vec3  # through the air [m/s], body
-    axial: float  # part of it along the axis [m/s]
-    edgewise: wp.vec3  # the rest of it, in the plane of the rotor [m/s], body
+    axial: float  # component along the axis [m/s]
+    edgewise: wp.vec3  # component in the plane of the rotor [m/s], body
 
 
 @wp.struct
 class Suspension:
-    """How the body origin, on which a load hangs, would move without the load."""
+    """Motion of the body origin, the suspension of a load, without the load."""
 
     acceleration: wp.vec3  # gravity included [m/s²], world
     mobility: wp.mat33  # acceleration per force [1/kg], world
@@ -51,8 +51,8 @@ class Suspension:
 
 
 def rotor_types(num_rotors: int, general: bool = False) -> RotorTypes:
-    """Return the types for a number of rotors; ``general`` where a rotor is more than a plain speed (``Vehicle.plain``)."""
-    return _rotor_types(num_rotors, general)  # one key however the arguments are given
+    """Return the types for a number of rotors; ``general`` unless all rotors are plain (``Vehicle.plain``)."""
+    return _rotor_types(num_rotors, general)  # one cache key for positional and keyword arguments
 
 
 @cache
@@ -92,7 +92,7 @@ def _rotor_types(num_rotors: int, general: bool) -> RotorTypes:
         }
     vehicle |= {
         "battery": six,  # nominal, full, empty voltage [V], resistance [Ohm], capacity [A s], efficiency
-        "ground_height": float,  # [m], world, where environments differ in it
+        "ground_height": float,  # [m], world, if it differs between environments
         "other_position": wp.vec3,  # another vehicle [m], world
     }
     command = {
@@ -116,9 +116,7 @@ def _rotor_types(num_rotors: int, general: bool) -> RotorTypes:
         rotor_thrust: vector  # [N]
         rotor_acc: vector  # [rad/s²]
         rotor_drag: vector  # magnitudes of the drag torques [N m]
-        upright: (
-            bool  # whether all rotors thrust along body z: known to the compiler, so that a branch on it costs nothing
-        )
+        upright: bool  # whether all rotors thrust along body z, a constant for the compiler
         rotor_axis: rows  # direction of thrust, body
         rotor_reaction: rows  # minus spin times axis
         lever: rows  # hub from the centre of mass [m], body
