@@ -1,4 +1,4 @@
-"""``aerial-gym robot check``: what a robot file describes, before anything is trained on it."""
+"""``aerial-gym robot check``: check of a robot file before training."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""``aerial-gym export``: a trained policy for where there is no simulator."""
+"""``aerial-gym export``: conversion of a trained policy for use without the simulator."""
 
 import json
 import logging

@@ -102,7 +102,7 @@ class Film:
         self._steps, self._frames = 0, list["Image"]()
 
     def look(self, *, begins: bool) -> None:
-        """Take a frame if it is time; where an episode begins the camera jumps to the robot."""
+        """Render a frame if one is due; the camera jumps to the robot at the start of an episode."""
         from PIL import Image
 
         behind = self._robot + self._robot.new_tensor([-BEHIND, 0.0, ABOVE])

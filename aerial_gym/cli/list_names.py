@@ -1,4 +1,4 @@
-"""``aerial-gym list``: what is registered."""
+"""``aerial-gym list``: registered names."""
 
 import sys
 from argparse import ArgumentParser

@@ -1,4 +1,4 @@
-"""Start of the process of a command: its clock, libraries beside imports, compiled Python code where there is none."""
+"""Start of a command's process: clock, parallel loading of libraries, bytecode cache."""
 
 import os
 import sys
@@ -32,7 +32,7 @@ def started_at() -> float:
 
 
 def keep_bytecode() -> None:
-    """Keep compiled Python code in the user's cache folder if PyTorch's installation has none and gets none.
+    """Cache bytecode in the user's cache folder if PyTorch's installation has none and cannot store any.
 
     Containers often set ``PYTHONDONTWRITEBYTECODE`` and install without ``__pycache__`` folders. Every process then compiles
     the 1,000 files of PyTorch again, which takes 3 s. A folder that the user chose (``PYTHONPYCACHEPREFIX``) stays.

@@ -1,4 +1,4 @@
-"""``aerial-gym replay``: the declared model against flights, nothing fitted."""
+"""``aerial-gym replay``: comparison of the declared model with flights, without fits."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -18,7 +18,7 @@ class BaseTask(gymnasium.Env):
     """
 
     def __init__(self, task_config: Any) -> None:
-        """Keep the configuration and seed what scripts draw from.
+        """Keep the configuration and seed the random generators of scripts.
 
         Python's, NumPy's and torch's own generators are seeded, because such tasks draw from them, unless the configuration has
         no seed or a negative one. The simulation has numbers of its own, which begin at that seed as well.
@@ -35,15 +35,15 @@ class BaseTask(gymnasium.Env):
         torch.manual_seed(seed)
 
     def render(self, mode: str = "human") -> Any:
-        """Show nothing, unless the class says otherwise."""
+        """Show nothing by default."""
         raise NotImplementedError(f"{type(self).__name__}.render: the task class must define it")
 
     def reset(self) -> Any:
-        """Start every environment anew; the class must define it."""
+        """Reset every environment; subclasses must define it."""
         raise NotImplementedError(f"{type(self).__name__}.reset: the task class must define it")
 
     def reset_idx(self, env_ids: Any) -> Any:
-        """Start some environments anew; the class must define it."""
+        """Reset some environments; subclasses must define it."""
         raise NotImplementedError(f"{type(self).__name__}.reset_idx: the task class must define it")
 
     def step(self, actions: Any) -> Any:

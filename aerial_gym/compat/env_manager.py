@@ -50,26 +50,26 @@ class EnvManager:
         return self.global_tensor_dict
 
     def step(self, actions: Tensor, env_actions: Tensor | None = None) -> None:
-        """Hold an action (E, U) for one environment step; nothing is reset, no sensor is read."""
+        """Apply an action (E, U) for one environment step, without resets or sensor readings."""
         self.env.step(actions, env_actions)
 
     def reset(self) -> None:
-        """Start every environment anew."""
+        """Reset every environment."""
         self.env.reset()
 
     def reset_idx(self, env_ids: Tensor | Sequence[int]) -> None:
-        """Start the environments of some ids anew; ``crashes`` and ``truncations`` stay until the next step."""
+        """Reset the environments of some ids; ``crashes`` and ``truncations`` stay until the next step."""
         self._reset(self.mask_of(env_ids))
 
     def reset_terminated_and_truncated_envs(self) -> Tensor:
-        """Start crashed (unless ``reset_on_collision`` is False) and truncated environments anew; return their ids, int64."""
+        """Reset crashed (unless ``reset_on_collision`` is False) and truncated environments; return their ids, int64."""
         gtd = self.env.gtd
         mask = gtd["truncations"] | gtd["crashes"] if self.reset_on_collision else gtd["truncations"].clone()
         self._reset(mask)
         return mask.nonzero().squeeze(-1)
 
     def post_reward_calculation_step(self) -> Tensor:
-        """Start finished environments anew, then read the sensors; return the ids, int64."""
+        """Reset finished environments, then read the sensors; return the ids, int64."""
         env_ids = self.reset_terminated_and_truncated_envs()
         self.render("sensors")
         return env_ids
@@ -90,7 +90,7 @@ class EnvManager:
         self.env.close()
 
     def mask_of(self, env_ids: Tensor | Sequence[int]) -> Tensor:
-        """Return the bool mask (E,) of environment ids; a mask is taken as it is."""
+        """Return the bool mask (E,) of environment ids; masks are returned unchanged."""
         ids = torch.as_tensor(env_ids, device=self.device)
         if ids.dtype == torch.bool:
             if ids.shape != (self.num_envs,):
@@ -132,7 +132,7 @@ class RobotManager:
         )
 
     def reset_idx(self, env_ids: Tensor | Sequence[int]) -> None:
-        """Start the robots of some environments anew; the obstacles stay."""
+        """Reset the robots of some environments; the obstacles stay."""
         self._manager.env.robot_manager.reset(self._manager.mask_of(env_ids))
 
 

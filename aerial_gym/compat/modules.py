@@ -166,7 +166,7 @@ class _Loader(Loader):
     """Fills a module of the table; each name is looked up when it is first used."""
 
     def exec_module(self, module: ModuleType) -> None:
-        """Give the module its names."""
+        """Fill the module with its names."""
         names = MODULES.get(module.__name__.removeprefix(_PREFIX), {})
         if (
             "" in names
@@ -228,6 +228,6 @@ def resolve(place: str) -> Any:
 
 
 def install() -> None:
-    """Let Python find the modules of the table, once."""
+    """Install the finder of the table's modules, once."""
     if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
         sys.meta_path.append(_Finder())

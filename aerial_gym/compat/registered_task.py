@@ -84,14 +84,14 @@ class RegisteredTask(gymnasium.Env):
         self.observation_space, self.action_space = self.task.observation_space, self.task.action_space
 
     def reset(self, *, seed: int | None = None, options: object = None) -> FiveTuple:
-        """Start every environment anew, with all random numbers of a seed if one is given; rewards and flags are zero."""
+        """Reset every environment, with all random numbers from a seed if given; rewards and flags are zero."""
         del options  # Gymnasium's wrappers pass it
         obs, info = self.task.reset(seed=seed)
         zero = torch.zeros(self.num_envs, device=self.device)
         return self._five(obs, zero, zero.bool(), zero.bool(), info)
 
     def step(self, actions: Tensor) -> FiveTuple:
-        """Advance by one action, (E, U); finished environments have begun anew, and their observation is the new one."""
+        """Advance by one action, (E, U); finished environments are reset, and their observation is the new one."""
         obs, reward, terminated, truncated, info = self.task.step(actions)
         if self._pre_reset:
             obs = {"observations": info["final_observation"]}

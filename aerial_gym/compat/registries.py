@@ -34,7 +34,7 @@ class _Names:
         self._own: dict[str, Any] = {}
 
     def _add(self, name: str, entry: Any, identity: Any) -> None:
-        """Take an entry; the same class again is nothing new, another one under the same name an error."""
+        """Add an entry; repeating the same class has no effect, another one under the same name is an error."""
         known = self._own.get(name, (self.built_in.get(name), None))[0]
         if name not in self.ours if known is None else _same_class(known, identity):
             self._own[name] = (identity, entry)

@@ -1,4 +1,4 @@
-"""Modules that scripts of the Aerial Gym Simulator import and that need not be installed, while such a script runs.
+"""Replacements of modules that scripts of the Aerial Gym Simulator import, for the time of a script.
 
 ``isaacgym``: importable, but each use raises an error with the remedy; ``isaacgym.torch_utils`` has the functions of
 ``compat.math``. ``gym``: gymnasium, whose spaces are the same, with the wrapper of the older version. Installed packages
@@ -49,7 +49,7 @@ class _Loader(Loader):
     """Fills a module of ``isaacgym``."""
 
     def exec_module(self, module: ModuleType) -> None:
-        """Give the module its functions, or the sentence that every other name gets."""
+        """Fill the module with its functions; other names raise an error with the remedy."""
         if module.__name__ == "isaacgym.torch_utils":
             helpers = import_module("aerial_gym.compat.math")
             module.__dict__.update({name: getattr(helpers, name) for name in helpers.__all__}, __all__=helpers.__all__)
@@ -79,7 +79,7 @@ class _Finder(MetaPathFinder):
 
 @contextmanager
 def stand_ins() -> Iterator[None]:
-    """Let scripts import ``isaacgym`` and ``gym`` where they are not installed; afterwards all is as before."""
+    """Make ``isaacgym`` and ``gym`` importable within the block if they are not installed."""
     finder = _Finder()
     lent: dict[str, Any] = {} if find_spec("gym") else _gym()
     sys.meta_path.append(finder)

@@ -67,7 +67,7 @@ def require_ordered(config: object, low: str, high: str) -> None:
 
 
 def _numbers(value: object) -> Iterator[float]:
-    """Give the numbers of a number or of nested tuples of numbers."""
+    """Yield the numbers of a number or of nested tuples."""
     if isinstance(value, (tuple, list)):
         for item in value:
             yield from _numbers(item)

@@ -1,4 +1,4 @@
-"""Text for consoles of any encoding: what one cannot show is written in plain letters."""
+"""Text for consoles of any encoding, with plain letters for other characters."""
 
 import codecs
 import json

@@ -187,7 +187,7 @@ class RateLoopCfg:
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerCfg:
-    """A controller: which law, with which gains, and what gives way when rotors are at their limits."""
+    """A controller: law, gains, and priorities under rotor saturation."""
 
     summary: str
     """One line for people who choose a controller."""

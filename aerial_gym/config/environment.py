@@ -114,7 +114,7 @@ class AssetCfg:
 
 @dataclass(frozen=True, kw_only=True)
 class EnvironmentCfg:
-    """A box of space and what stands in it. Each environment draws its bounds uniformly at reset."""
+    """A box of space with its obstacles. Each environment draws its bounds uniformly at reset."""
 
     summary: str
     """One line for people who choose an environment."""

@@ -20,7 +20,7 @@ FRAMES = ("world", "sensor")
 
 @dataclass(frozen=True, kw_only=True)
 class LightCfg:
-    """A sun and a sky that lights every side alike, beside the lamps of the environment; surfaces are matt (Lambert), shadows
+    """A sun and a uniform sky, in addition to the environment's lamps; surfaces are matt (Lambert), shadows
     sharp.
 
     A surface has its colour times ``ambient + (1 - ambient) max(n . s, 0)``, and its colour times that of every lamp, no

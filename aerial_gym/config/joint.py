@@ -51,7 +51,7 @@ class LinkCfg:
 
 @dataclass(frozen=True, kw_only=True)
 class CreepCfg:
-    """A spring behind a dashpot, beside the others of a joint: it gives way to what lasts (a Maxwell element)."""
+    """A Maxwell element (spring and dashpot in series) parallel to a joint's spring: it relaxes under constant load."""
 
     stiffness: float
     """Of the spring [N m/rad], > 0."""
@@ -65,7 +65,7 @@ class CreepCfg:
 
 @dataclass(frozen=True, kw_only=True)
 class SpringCfg:
-    """A passive joint: ``preload - (k + k2 |q - rest|) (q - rest) - damping q' - friction sign(q')``, and what creeps."""
+    """A passive joint: ``preload - (k + k2 |q - rest|) (q - rest) - damping q' - friction sign(q')``, plus creep."""
 
     stiffness: float = 0.0
     """k [N m/rad], >= 0."""

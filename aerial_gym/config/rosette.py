@@ -1,4 +1,4 @@
-"""Lidars whose beams are bent by turning prisms: each frame looks along other rays (Livox Mid-40, Mid-70, Avia).
+"""Lidars with beams refracted by rotating prisms, whose rays differ between frames (Livox Mid-40, Mid-70, Avia).
 
 Frame and letters: those of ``range_sensor``; K frames of the scan, P prisms.
 """

@@ -19,7 +19,7 @@ BODY = "body"
 
 
 def is_file(name: str) -> bool:
-    """Return whether a name is the path of a YAML file, not that of something registered."""
+    """Return whether a name is the path of a YAML file instead of a registered name."""
     return name.endswith((".yaml", ".yml"))
 
 

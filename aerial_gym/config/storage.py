@@ -85,7 +85,7 @@ def read_archive(path: str | Path, what: str) -> dict[str, Any]:
 
 @contextmanager
 def told_storage(where: str | Path, *, only_full: bool = False) -> Iterator[None]:
-    """Turn an ``OSError`` of writing into one sentence that names ``where``; with ``only_full``, only that of a full disk.
+    """Convert an ``OSError`` of a write into a message with ``where``; with ``only_full``, only for a full disk.
 
     Raises:
         StorageError: In place of such an ``OSError``.
@@ -110,7 +110,7 @@ def storage_sentence(error: OSError, where: str | Path | None = None) -> str:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Let the new name of a file survive a power cut as well, where the system can."""
+    """Sync a folder, so that a new file name survives a power cut if the system supports it."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

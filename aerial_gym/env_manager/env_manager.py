@@ -75,7 +75,7 @@ class EnvManager:
         dtype: torch.dtype = torch.float32,
         randomize: Randomize | None = None,
     ) -> None:
-        """Build everything; call ``reset`` before the first ``step``. ``SimBuilder.build_env`` says what is given.
+        """Build everything; call ``reset`` before the first ``step``. ``SimBuilder.build_env`` documents the arguments.
 
         Raises:
             ConfigError: If ``num_envs`` is not positive, the device is not there, or a differentiable simulation is asked for
@@ -247,7 +247,7 @@ class EnvManager:
         self._graph().detach()
 
     def settle(self) -> None:
-        """Do as ``detach``, in tensors that stay in their places: a CUDA graph of what follows can be replayed from here.
+        """Detach in tensors that keep their memory, so that a later CUDA graph can be replayed from here.
 
         What came before must have been differentiated already.
         """
@@ -265,7 +265,7 @@ class EnvManager:
         return self.sim_cfg.dt * self.cfg.physics_steps_per_env_step
 
     def step(self, actions: Tensor, env_actions: Tensor | None = None) -> None:
-        """Hold an action for one environment step; nothing is reset, no sensor is read.
+        """Apply an action for one environment step, without resets or sensor readings.
 
         Args:
             actions: Of the robots, (E, U).
@@ -310,7 +310,7 @@ class EnvManager:
     def reset(
         self, mask: Tensor | None = None, *, counted: bool = False, place: Callable[[Tensor], None] | None = None
     ) -> None:
-        """Start the environments in ``mask``, bool (E,), anew; all of them without a mask. Others stay bit for bit.
+        """Reset the environments in ``mask``, bool (E,), or all without a mask. Others stay bit for bit.
 
         With ``counted`` the mask is ``random.mask`` and ``random.episode`` already has its new episodes: a task writes both
         in the launch that detects ends. ``place`` may move robots of the mask, after the reset of robots and race track.
@@ -363,7 +363,7 @@ class EnvManager:
         return saved(self.state_tensors())
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
-        """Go on from a state that this or an equal simulation has saved. Waits for the device.
+        """Restore a state saved by this or an equal simulation. Waits for the device.
 
         Raises:
             ConfigError: If it is the state of another simulation; the message names the difference.
@@ -372,7 +372,7 @@ class EnvManager:
         self.restore(state)
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
-        """Take a state that was checked; it may hold more than is of this simulation."""
+        """Restore a checked state, which may hold further tensors."""
         for name, tensor in self.random.state_tensors().items():
             tensor.copy_(state[f"random.{name}"])
         self.seed = int(self.random.seed)
@@ -386,7 +386,7 @@ class EnvManager:
         self.sensor_manager.capture(mask)
 
     def close(self) -> None:
-        """Drop what holds device memory; a second call does nothing, any other raises ``ClosedError``."""
+        """Release device memory; a second call does nothing, other methods then raise ``ClosedError``."""
         for name in ("asset_manager", "robot_manager", "sensor_manager", "_collision"):
             vars(self).pop(name, None)
 

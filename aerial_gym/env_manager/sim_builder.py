@@ -92,7 +92,7 @@ class SimBuilder:
         dtype: torch.dtype = torch.float32,
         randomize: Randomize | None = None,
     ) -> EnvManager:
-        """Return a simulation, built and not yet reset. In place of a name stands a configuration if it is registered nowhere.
+        """Return a simulation, built and not yet reset. Unregistered configurations can replace names.
 
         Args:
             env_name: Registered environment, or path of an environment file; see ``EnvironmentCfg`` for its fields.

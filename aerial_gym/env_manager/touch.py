@@ -55,7 +55,7 @@ class Touch:
         trajectory: Trajectory | None,
         dt: float,
     ) -> None:
-        """Declare the distance between links where that is asked for, and take views.
+        """Declare the distance between links on request, and take views.
 
         Args:
             gtd: Has ``robot_clearance`` and ``crashes``.

@@ -44,7 +44,7 @@ class Agreement:
 
     @property
     def holds(self) -> bool:
-        """Whether the file is the policy; an error that is NaN is none that passes."""
+        """Whether the file agrees with the policy; NaN errors fail."""
         return self.error <= self.limit
 
 

@@ -58,7 +58,7 @@ class Exported:
 
     @property
     def agrees(self) -> bool | None:
-        """Whether it is the policy (``aerial_gym.export.agreement``); None: ``not_checked``."""
+        """Whether the file agrees with the policy (``aerial_gym.export.agreement``); None: ``not_checked``."""
         return None if self.agreement is None else self.agreement.holds
 
 

@@ -1,4 +1,4 @@
-"""Exported policies that fly in the simulator: what runs is the exported file.
+"""Exported policy files as pilots in the simulator.
 
 Letters: E environments, O entries of an observation, C x H x W an image, U entries of a command, V of an action, M numbers of
 memory.

@@ -28,7 +28,7 @@ def digest(config: object) -> Tensor:
 
 
 def identity(**configs: object) -> dict[str, Tensor]:
-    """Return the digests of what a simulation was built from, by name."""
+    """Return the digests of a simulation's configurations, by name."""
     return {f"{IDENTITY}{name}": digest(config) for name, config in configs.items()}
 
 
@@ -38,7 +38,7 @@ def below(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 
 def saved(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Return copies that nothing changes any more."""
+    """Return independent copies."""
     return {name: tensor.detach().clone() for name, tensor in tensors.items()}
 
 

@@ -44,7 +44,7 @@ class GlobalTensorDictionary(Mapping[str, Tensor]):
         self._instead: dict[str, str] = {}
 
     def define_size(self, letter: str, size: int) -> None:
-        """Give a shape letter its number; a second, different number is an error."""
+        """Define the size of a shape letter; a different second size is an error."""
         if self._sizes.setdefault(letter, size) != size:
             raise ShapeError(f"size {letter} = {size}: it is {self._sizes[letter]} already")
 

@@ -29,7 +29,7 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
     """E environments of one task; observations are its (E, O) tensor, or NumPy arrays."""
 
     def __init__(self, task: Task, *, output: Literal["numpy", "torch"] = "numpy") -> None:
-        """Take a built task; actions may be of either kind, whatever the output is.
+        """Take a built task; actions may be tensors or arrays, for either output.
 
         Raises:
             ConfigError: If ``output`` is neither ``numpy`` nor ``torch``.
@@ -51,7 +51,7 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
     def reset(  # pyright: ignore[reportIncompatibleMethodOverride]
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Start every episode anew, with a new seed if one is given; return observations (E, O) and an empty info."""
+        """Restart every episode, with a new seed if given; return observations (E, O) and an empty info."""
         del options
         observation, _ = self.task.reset(seed=seed)
         return self._out(observation["observations"]), {}
@@ -78,7 +78,7 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         return value if self._torch_out else value.cpu().numpy()
 
     def _torch_info(self, info: dict[str, Tensor], done: Tensor) -> dict[str, Any]:
-        """Return tensors over all rows; those outside the masks mean nothing. Nothing is copied to the host."""
+        """Return tensors over all rows, valid only within the masks. Nothing is copied to the host."""
         episode = {"r": info["episode_return"], "l": info["episode_length"]}
         return {
             FINAL: info["final_observation"],
@@ -89,7 +89,7 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         }
 
     def _numpy_info(self, info: dict[str, Tensor], done: Tensor) -> dict[str, Any]:
-        """Return Gymnasium's object arrays: None in the rows of episodes that go on."""
+        """Return Gymnasium's object arrays: None in the rows of unfinished episodes."""
         told: dict[str, Any] = {
             "time_outs": info["time_outs"].cpu().numpy(),
             "_time_outs": np.ones(self.num_envs, bool),

@@ -1,4 +1,4 @@
-"""The processes of one training: ``torchrun`` starts them, each has a rank, and each flies environments of its own.
+"""The processes of one training: ``torchrun`` starts them; each has a rank and simulates its own environments.
 
 Only this file uses ``torch.distributed``. Tensors go by NCCL between GPUs, where calls can be part of a CUDA graph, and by
 Gloo between CPUs; host objects go by Gloo. All processes make the same
@@ -64,7 +64,7 @@ class Ranks:
         return each[:, 0].mean(0) + between, mean
 
     def share_(self, tensors: Iterable[Tensor]) -> None:
-        """Replace tensors by those of rank 0."""
+        """Overwrite tensors with those of rank 0."""
         if self.joined:
             with _others_may_end():
                 for tensor in tensors:
@@ -109,7 +109,7 @@ def launched_rank() -> int:
 
 
 def own_device(name: str) -> str:
-    """Return the device of this process: of ``auto`` or ``cuda`` on a machine with GPUs that of its ``LOCAL_RANK``.
+    """Return the device of this process: for ``auto`` or ``cuda`` the GPU of its ``LOCAL_RANK``, if there are GPUs.
 
     Raises:
         ConfigError: If there is none for it, or ``name`` asks all processes for one GPU.

@@ -170,7 +170,7 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
         push: wp.vec4,
         found: Crossing,
     ):
-        """Return the earlier crossing: the one found so far, or that of a part or face; and whether it touches like a crash.
+        """Return the earlier of the given crossing and that of a part or face, and whether it is a crash.
 
         ``before`` and ``push`` hold the contact normal at the start and at the end, with 1 as fourth entry once known; both
         are returned. A shape that starts inside a mesh counts as on the side of its contact normal.

@@ -79,7 +79,7 @@ class DifferentiableBackend:
         self._inner.allocate(model.to(self._dtype), control, integrator=integrator, ground=ground, random=random)
 
     def set_model(self, model: Model) -> None:
-        """Take other parameters."""
+        """Replace the parameters of the model."""
         self._rows = None
         self._inner.set_model(model.to(self._dtype))
 
@@ -115,7 +115,7 @@ class DifferentiableBackend:
         return self._inner.advance(state, command, dt, substeps)
 
     def step(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> None:
-        """Go on with the graph by ``substeps`` of ``dt`` [s] under its own action, and show it in ``state``."""
+        """Extend the graph by ``substeps`` of ``dt`` [s] under its own action, and copy the result to ``state``."""
         del command  # the action of the graph, rounded
         check_substeps(self._hook, substeps)
         if self._hook is not None:
@@ -140,7 +140,7 @@ class DifferentiableBackend:
         return self._rows[1]
 
     def reset(self, mask: Tensor) -> None:
-        """Take the environments in ``mask``, bool (E,), from where they are shown; the graphs of others go on."""
+        """Restart the graph of the environments in ``mask``, bool (E,), from the GTD's state; others continue."""
         mask = mask.clone()  # the graph keeps it; the next reset overwrites the mask
         self._inner.forget(mask)
         rows = mask.unsqueeze(-1)
@@ -154,13 +154,13 @@ class DifferentiableBackend:
         self.actions = (begun(new, last), begun(new_before, before))
 
     def detach(self) -> None:
-        """Let gradients end at this instant."""
+        """Cut the gradients at this instant."""
         self.state = _map(self.state, torch.Tensor.detach)
         self.actions = _two(self.actions, torch.Tensor.detach)
         self._inner.detach()
 
     def settle(self) -> None:
-        """Let gradients end at this instant, in tensors that are the same at every call: where a recorded window begins."""
+        """Cut the gradients at this instant, in tensors that stay the same at every call, as start of a recorded window."""
         self.detach()
         own = vars(self.state) | dict(zip(("action", "previous_action"), self.actions, strict=True))
         settled = in_places(self._places, own)

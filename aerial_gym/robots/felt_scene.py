@@ -13,7 +13,7 @@ from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 
 @dataclass(frozen=True, kw_only=True)
 class FeltScene:
-    """Tensors of the GTD; None where no effect feels it."""
+    """Tensors of the GTD; None if no effect reads them."""
 
     other_position: Tensor | None  # Position of the vehicle above, source of downwash [m], world, (E, 3)
     surface_height: Tensor | None  # Height of the first surface below the robot [m], world, (E, 1)

@@ -45,7 +45,7 @@ class HungLoad:
 
 
 def hung_load(gtd: GlobalTensorDictionary, effects: Sequence[EffectParams], state: BodyState) -> HungLoad | None:
-    """Return the load of a robot; None where nothing hangs on it."""
+    """Return the slung load of a robot; None without one."""
     for effect, params in effects:
         if isinstance(effect, LoadEffect):
             column = [parameter.name for parameter in effect.parameters].index("length")

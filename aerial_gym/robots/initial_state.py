@@ -94,7 +94,7 @@ def start_row(e: int, given: StartArrays):
 
 @wp.kernel(enable_backward=False)
 def _start(mask: wp.array[wp.bool], given: StartArrays):
-    """Begin an episode where the mask (E,) says so; leave every other row alone."""
+    """Begin an episode in the environments of the mask (E,)."""
     e = wp.tid()
     if mask[e]:
         start_row(e, given)
@@ -121,10 +121,10 @@ def _begin_step(
 
 
 class StepBegin:
-    """Begins a step of every environment in one launch, with all views but that of the action made at construction."""
+    """Launch that begins a step of all environments, with all views except the action's made at construction."""
 
     def __init__(self, actions: Tensor, prev_actions: Tensor, noticed: Noticed) -> None:
-        """Take what is written, the first two (E, U)."""
+        """Take the output tensors, the first two (E, U)."""
         self._actions = actions
         self._command = RecordedLaunch(
             _begin_step,
@@ -157,7 +157,7 @@ class InitialState:
         random: Randomness,
         noticed: Noticed | None = None,
     ) -> None:
-        """Take what is written and what the draws depend on.
+        """Take the output tensors and the inputs of the draws.
 
         Args:
             state: Written where a mask says so.
@@ -202,5 +202,5 @@ class InitialState:
         self()
 
     def __call__(self) -> None:
-        """Do so for those in the mask that ``random`` keeps."""
+        """Begin episodes in the environments of the mask of ``random``."""
         self._command.launch(self._mask)

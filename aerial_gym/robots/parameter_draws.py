@@ -136,7 +136,7 @@ _CALLED = (stream_of, substream, independent_normal, uniform, log_uniform, norma
 
 
 def drawing(drawn: Sequence[Drawn], random: Randomness, *, device: torch.device) -> Made:
-    """Return the draws of one environment as lines of a kernel, side by side: none waits for another one."""
+    """Return the kernel code of the draws of one environment, all independent."""
     start_warp()
     rows = np.zeros(drawn[-1].columns.stop, dtype=Draw.numpy_dtype())  # type: ignore[call-overload]
     for each in drawn:

@@ -74,7 +74,7 @@ class Randomized:
         effects: Sequence[tuple[Effect, Tensor]],
         gains: Mapping[str, Tensor],
     ) -> None:
-        """Give every number a column.
+        """Assign a column to every number.
 
         Args:
             robot: With the effects of ``with_drawn_effects``.
@@ -199,7 +199,7 @@ class Randomized:
         return probe.tolist()
 
     def _parameter(self, name: str) -> Parameter | None:
-        """Return the parameter of an effect that a quantity is; None of another quantity."""
+        """Return the effect parameter of a quantity, None for other quantities."""
         family, *rest = name.split(".", 2)
         return next(p for p in self._parameters[rest[0]] if p.name == rest[1]) if family == "effects" else None
 

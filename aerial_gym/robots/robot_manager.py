@@ -185,7 +185,7 @@ class RobotManager:
         self._stale = True
 
     def take_writes(self) -> bool:
-        """Take parameters that were written since the last step into the physics.
+        """Apply parameters written since the last step to the physics.
 
         Returns:
             Whether tensors of the physics moved, so that a CUDA graph of a step must be recorded anew.
@@ -194,7 +194,7 @@ class RobotManager:
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """Meaning and unit of each entry of an action: those of the controller, then commands of the joints' drives."""
+        """Meaning and unit of each action entry: the controller's, then commands of joint drives."""
         joints = () if self.articulation is None else self.articulation.action_names
         return (*self.controller.action_names, *joints)
 
@@ -327,7 +327,7 @@ class RobotManager:
         )
 
     def refresh_model(self) -> bool:
-        """Take parameters into the physics that DLPack or a kernel has written; ``step`` does so after any other write.
+        """Apply parameters written by DLPack or a kernel to the physics; ``step`` does so after other writes.
 
         Returns:
             Whether tensors of the physics moved, so that a CUDA graph of a step must be recorded anew.
@@ -370,7 +370,7 @@ class RobotManager:
         self.backend.step(self.tensors.state, self.tensors.actions, self._sim.dt, substeps)
 
     def refresh(self, span: float) -> None:
-        """Bring everything that follows from the physics to its instant; ``span`` [s] is the length of the step."""
+        """Update all quantities derived from the physics; ``span`` [s] is the length of the step."""
         self.tensors.derived.refresh()
         self._show_load()
         if self._joints is not None:

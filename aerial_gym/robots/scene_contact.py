@@ -275,10 +275,10 @@ class SceneContact:
         return FusedHook(struct, self._data, function)
 
     def begin(self, state: BodyState) -> None:
-        """Do nothing: each push needs the motion before its own substep alone."""
+        """Do nothing, as contact needs only the motion before its own substep."""
 
     def after_substep(self, k: int, before: MassState, state: BodyState) -> None:
-        """Move the obstacles, and push the robots that overlap them; launched on torch's current stream, not waited for."""
+        """Move the obstacles and apply contact to robots; launched on torch's current stream, not waited for."""
         del k
         if state is not self._state:
             raise ShapeError("SceneContact: pushes the robots of another state. Make one for this state")

@@ -1,4 +1,4 @@
-"""The keys under which a robot stands in the Global Tensor Dictionary.
+"""Keys of a robot in the Global Tensor Dictionary.
 
 All states belong to the same instant: the derived ones are refreshed once, after the physics.
 Letters: E environments, R rotors, U entries of an action.
@@ -38,7 +38,7 @@ def _spec(key: str, width: int | str, unit: str, frame: str, owner: str, meaning
 def declare_robot_tensors(
     gtd: GlobalTensorDictionary, root_state: Tensor, joints: JointsCfg | None = None
 ) -> RobotTensors:
-    """Declare every key of a robot; ``root_state`` is its row (E, 13) of ``vec_root_tensor``, ``joints`` where it bends.
+    """Declare every key of a robot; ``root_state`` is its row (E, 13) of ``vec_root_tensor``, ``joints`` its joints, if any.
 
     The physics works on tensors of its own for each quantity: rows of 13 numbers would halve its speed on a GPU, where
     neighbouring threads then touch memory 52 bytes apart (``docs/results/performance.md``).

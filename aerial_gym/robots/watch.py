@@ -60,7 +60,7 @@ def _remember(
     rows_out: wp.array2d[wp.int32],  # (K, 4) environment, step of the episode, bits, steps kept
     kept_out: wp.array3d[float],  # (K, 64, N) oldest first
 ):
-    """Keep this step of every row in a ring, and the ring of a row with a bit, in order, in one of K places."""
+    """Store this step of every row in a ring buffer, and copy the buffer of a row with a bit, in order, to one of K records."""
     e = wp.tid()
     size = ring_out.shape[0]
     slot = steps_out[e] % size
@@ -103,7 +103,7 @@ class Watch:
     def __init__(
         self, gtd: GlobalTensorDictionary, noticed: Noticed, *, num_actions: int, dt: float, keep: bool
     ) -> None:
-        """Make memory and launch: with ``keep`` E times 64 steps of all numbers of a row, else next to nothing.
+        """Allocate memory and make the launch: with ``keep`` 64 steps of all numbers of each row, else the table alone.
 
         Args:
             gtd: Holds state, command, ``non_finite`` and ``sim_steps``.
@@ -140,7 +140,7 @@ class Watch:
         self._command = RecordedLaunch(_remember, dim=num_envs, inputs=inputs, outputs=outputs, device=self._device)
 
     def keep(self, actions: Tensor, ended: Tensor) -> None:
-        """Keep this step, before the rows in ``ended``, bool (E,), are reset, if it was asked to; ``actions``: (E, V)."""
+        """Store this step, before rows in ``ended``, bool (E,), are reset, if recording is on; ``actions``: (E, V)."""
         if not self.keeps:
             return
         self._action.copy_(actions)

@@ -29,7 +29,7 @@ class DelayLine:
         self._started = torch.zeros(like.shape[0], dtype=torch.bool, device=like.device)
 
     def push(self, mask: Tensor | None = None) -> None:
-        """Give out the images of ``steps`` calls ago and keep the present ones; waits for nothing.
+        """Output the images of ``steps`` calls ago and store the present ones, without waiting.
 
         With a mask, bool (E,), the other environments stay as they are.
         """

@@ -41,7 +41,7 @@ from aerial_gym.sensors.places import PlaceRange, place_of, place_range
 
 @wp.struct
 class Unit:
-    """The IMU, the same in all environments. Noise and walk are those of one step."""
+    """IMU parameters, equal in all environments. Noise and walk are per step."""
 
     mount: PlaceRange  # IMU to body, without misalignment
     misalignment: wp.vec3  # +- [rad]
@@ -173,7 +173,7 @@ def _write(
 
 @wp.func
 def _deliver(unit: Unit, out: Outputs, e: int):
-    """Let the sample of ``latency`` steps ago appear, and send the last one on its way."""
+    """Output the sample of ``latency`` steps ago, and queue the newest one."""
     place = out.place[e]
     for i in range(2):
         found = out.fresh[e, i]
@@ -361,7 +361,7 @@ class Imu:
         self._measure_command.launch(self.measurement)
 
     def reset(self, mask: Tensor) -> None:
-        """Begin anew in the environments of ``mask``, bool (E,), from their present state; others stay bit for bit.
+        """Restart in the environments of ``mask``, bool (E,), from their present state; others stay bit for bit.
 
         Draws place, bias and misalignment, and writes a first sample: that of a vehicle without acceleration in its present
         attitude, as no step has shown one yet, with its present angular velocity.

@@ -94,7 +94,7 @@ class ImuSet:
             imu.measure()
 
     def reset(self, mask: Tensor) -> None:
-        """Begin anew in the environments of ``mask``, bool (E,), from their present state; others stay bit for bit."""
+        """Restart in the environments of ``mask``, bool (E,), from their present state; others stay bit for bit."""
         for imu in self.imus.values():
             imu.reset(mask)
 

@@ -68,7 +68,7 @@ class Places:
     """Poses of the sensors of one kind, with all views made at construction."""
 
     def __init__(self, cfg: RangeSensorCfg, random: Randomness, *, number: int, pose: Pose | None) -> None:
-        """Put every sensor at its nominal place.
+        """Set every sensor to its nominal pose.
 
         Args:
             number: Of the kind on its robot: two kinds are drawn apart.
@@ -95,7 +95,7 @@ class Places:
         )
 
     def reset(self, mask: Tensor) -> None:
-        """Place the sensors of the environments in ``mask``, bool (E,), anew: nominal, or drawn if the sensor draws places.
+        """Reset the sensor poses of the environments in ``mask``, bool (E,): nominal, or newly drawn.
 
         Launched on torch's current stream, not waited for.
         """

@@ -221,7 +221,7 @@ class RayCaster:
         return {"due": self.due, "image_number": self._image_number, **frame, **places} | dict(self.images.items())
 
     def reset(self, mask: Tensor) -> None:
-        """Place the mounts of masked environments, bool (E,), anew, nominal or drawn; count images and frames from 0."""
+        """Reset the mounts of masked environments, bool (E,), to nominal or drawn poses; restart image and frame counts."""
         self.places.reset(mask)
         self._image_number.masked_fill_(mask, 0)
         self._frames.reset(mask)
@@ -230,7 +230,7 @@ class RayCaster:
 def _twist_views(
     cfg: RangeSensorCfg, lin_vel: Tensor | None, ang_vel: Tensor | None, envs: int, device: torch.device
 ) -> list[wp.array]:
-    """Return views of the velocities that a sensor needs, none if it needs none."""
+    """Return views of the velocities that a sensor needs."""
     scan = isinstance(cfg, ScannedCfg) and cfg.column_s is not None
     if not (cfg.optical_flow or scan):
         return []
@@ -295,5 +295,5 @@ class Frames:
             self.number.add_(due).remainder_(self.count)
 
     def reset(self, mask: Tensor) -> None:
-        """Begin anew in the environments of ``mask``, bool (E,)."""
+        """Restart the count in the environments of ``mask``, bool (E,)."""
         self.number.masked_fill_(mask, self.count - 1)

@@ -44,7 +44,7 @@ def make_warp_kernel(outputs: Outputs) -> wp.Kernel:
         due: wp.array[wp.bool],
         images: images_type,
     ):
-        """Trace one ray; the threads of a warp look for the candidates of their tile together.
+        """Trace one ray; the threads of a warp search the candidates of their tile together.
 
         Analytic shapes come before meshes, and near meshes before far ones, so that a tree is searched only up to what was
         found.

@@ -22,7 +22,7 @@ _HEADERS = (["x", "y", "z"], ["azimuth_deg", "elevation_deg"])
 
 
 def ray_table(cfg: RangeSensorCfg, *, device: torch.device) -> Tensor:
-    """Return the unit directions of a sensor, float32, (H, W, 3); of a rosette those of its first frame.
+    """Return the unit ray directions of a sensor, float32, (H, W, 3); for a rosette of its first frame.
 
     Raises:
         ConfigError: If a file of rays cannot be read or has another number of them, or if a sensor of ``kind`` depth has

@@ -188,7 +188,7 @@ class Scan:
 
 
 def group_ages(cfg: ScannedCfg) -> list[float]:
-    """Return the age of each group of columns at the capture [s], that of the middle of its columns, G numbers."""
+    """Return the age of each column group at the capture [s], at the middle of its columns, G numbers."""
     assert cfg.column_s is not None
     firsts = range(0, cfg.width, cfg.scan_columns)
     middles = [0.5 * (first + min(first + cfg.scan_columns, cfg.width) - 1) for first in firsts]

@@ -159,7 +159,7 @@ class SensorManager:
         return found
 
     def reset(self, mask: Tensor) -> None:
-        """Place the mounts of masked environments, bool (E,), anew; their images are due at the next capture."""
+        """Reset the mounts of masked environments, bool (E,); their images are due at the next capture."""
         check_tensor("mask", mask, (self._num_envs,), device=self._device, dtype=torch.bool)
         for delay in self._delay.values():
             delay.reset(mask)

@@ -63,7 +63,7 @@ def sunlight(
 def lamplight(
     view: View, env: int, mount: int, surface: Surface, point: wp.vec3, lamp: wp.vec3, shadows: wp.bool
 ) -> float:
-    """Return ``max(n . l, 0) / r²`` of a lamp at distance r in direction l [1/m²], or 0 if something stands before it.
+    """Return ``max(n . l, 0) / r²`` of a lamp at distance r in direction l [1/m²], or 0 in shadow.
 
     Point and lamp [m] are in the sensor's frame.
 

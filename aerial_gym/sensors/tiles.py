@@ -15,7 +15,7 @@ _MARGIN = 1e-5
 
 @dataclass(frozen=True, kw_only=True)
 class Tiles:
-    """A ray table in the order of its tiles; incomplete tiles are filled with copies of one of their rays."""
+    """A ray table in tile order; incomplete tiles are filled with copies of one ray."""
 
     direction: Tensor  # Unit directions, (T * L, 3)
     pixel: Tensor  # Pixel index of a ray, -1 for a copy, int32, (T * L,), in every frame
@@ -53,6 +53,6 @@ def make_tiles(direction: Tensor, *, height: int, width: int) -> Tiles:
 
 
 def stacked(frames: Sequence[Tiles]) -> Tiles:
-    """Return the tiles of several frames, one frame behind the other; all have the pixels of the first."""
+    """Return the concatenated tiles of several frames, with the pixels of the first."""
     parts = {name: torch.cat([getattr(tiles, name) for tiles in frames]) for name in ("direction", "middle", "spread")}
     return Tiles(pixel=frames[0].pixel, **parts)

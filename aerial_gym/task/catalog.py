@@ -204,7 +204,7 @@ CELL_TERMS = ("nearest_in_cells", "log_nearest_in_cells")
 
 
 def with_encoder(cfg: TaskCfg, encoder: str) -> TaskCfg:
-    """Return a task that sees the latents of an encoder where it sees the nearest distances of 8 x 8 cells.
+    """Return a task with an encoder's latents in place of the nearest distances of 8 x 8 cells.
 
     Raises:
         ConfigError: If it sees neither these nor latents.

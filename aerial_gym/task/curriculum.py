@@ -37,7 +37,7 @@ def next_level(level: Tensor, finished: Tensor, succeeded: Tensor, cfg: Curricul
 
 
 class Curriculum:
-    """Owns the level. Nothing here waits for the device but ``state`` and ``load``."""
+    """Owner of the level. Only ``state`` and ``load`` wait for the device."""
 
     def __init__(
         self, cfg: CurriculumCfg, env: EnvironmentCfg, assets: AssetManager, gtd: GlobalTensorDictionary
@@ -69,7 +69,7 @@ class Curriculum:
         self.restart()
 
     def restart(self) -> None:
-        """Begin at the first level with no episode counted."""
+        """Restart at the first level, with zero counts."""
         self.load({"level": self.cfg.first_level, "finished": 0, "succeeded": 0})
 
     def count(self, ended: Tensor, success: Tensor) -> None:

@@ -211,7 +211,7 @@ class Task:
             self.values.graph.settle()
 
     def watch(self) -> None:
-        """Keep the last steps of rows that are not finite, for ``dump``; call it before the first ``reset``.
+        """Record the last steps of non-finite rows, for ``dump``; call it before the first ``reset``.
 
         It costs one small launch a step and the memory of 64 steps of state, command and action of every environment.
 
@@ -239,7 +239,7 @@ class Task:
         return self._watch.dump(path)
 
     def reset(self, *, seed: int | None = None) -> tuple[Observation, dict[str, Tensor]]:
-        """Start every environment anew; return observation and info.
+        """Restart every environment; return observation and info.
 
         With a ``seed`` everything is as in a new task with that seed, the choice of obstacles and the curriculum included;
         without one the curriculum goes on.
@@ -314,7 +314,7 @@ class Task:
             self._memory()
 
     def _observed(self) -> Observation:
-        """Look, and return the observation of this instant."""
+        """Read the sensors and return the observation of this instant."""
         self._look(begun=bool(self._images.frames))
         self._observer.draw_noise()
         found = {key_of(group): value for group, value in self._observer().items()}
@@ -361,7 +361,7 @@ class Task:
         return self._judge.reward_names
 
     def episode_means(self) -> dict[str, float]:
-        """Return means over the episodes that ended since the last call, and begin anew. Waits for the device.
+        """Return means over the episodes that ended since the last call, and clear them. Waits for the device.
 
         ``reward/<name>`` is the sum of a reward term over an episode, ``ended/<name>`` the share of episodes that a
         termination ended, ``episodes`` their number; of none there is only that.
@@ -396,7 +396,7 @@ class Task:
         return saved(self.state_tensors())
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
-        """Go on from a state that this or an equal task has saved; call ``reset`` once before. Waits for the device.
+        """Restore a state saved by this or an equal task; call ``reset`` once before. Waits for the device.
 
         Raises:
             ConfigError: If it is the state of another task or simulation; the message names the difference.

@@ -1,4 +1,4 @@
-"""Other renderers beside ours in one run of ``bench render``: the same scene, rays, device and number of environments."""
+"""Comparison with other renderers in one run of ``bench render``, on the same scene, rays, device and batch size."""
 
 import statistics
 import sys

@@ -36,7 +36,7 @@ class Episodes:
         self.actions.uniform_(-ACTION_SIZE, ACTION_SIZE, generator=generator)
 
     def restore(self) -> None:
-        """Begin all episodes anew, at random ages."""
+        """Restart all episodes, at random ages."""
         self._task.reset()
         self._task.stagger()
 
@@ -46,7 +46,7 @@ class Episodes:
             self._task.step(self.actions)
 
     def check(self, *, started: bool) -> None:
-        """Take some more steps, and raise ``WorkloadError`` unless they are those of a healthy task."""
+        """Run further steps, and raise ``WorkloadError`` unless the task behaves as expected."""
         del started
         crashed = []
         for _ in range(CHECKED_STEPS):

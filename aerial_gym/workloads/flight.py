@@ -53,7 +53,7 @@ class Flight:
         )
 
     def restore(self) -> None:
-        """Put the start back."""
+        """Restore the start state."""
         self.state.copy_(self._start)
 
     def check(self, *, started: bool) -> None:

@@ -32,15 +32,15 @@ class Workload(Protocol):
     """Batches after which the start is put back."""
 
     def restore(self) -> None:
-        """Put the start back, in place."""
+        """Restore the start state, in place."""
         ...
 
     def run_batch(self) -> None:
-        """Do the launches of one batch; waits for nothing."""
+        """Launch one batch, without waiting."""
         ...
 
     def check(self, *, started: bool) -> None:
-        """Raise ``WorkloadError`` if the state is not that of a healthy run; ``started``: after at least one batch."""
+        """Raise ``WorkloadError`` for an implausible state; ``started``: after at least one batch."""
         ...
 
 
@@ -144,7 +144,7 @@ def require_at_least(low: int, **numbers: int) -> None:
 
 @contextmanager
 def torch_threads(threads: int | None) -> Iterator[int]:
-    """Run torch, and the Warp backend, on so many CPU threads inside; None keeps torch's own number. Gives the number."""
+    """Run torch and the Warp backend on a number of CPU threads within the block, None for torch's own; yield the number."""
     before = torch.get_num_threads()
     if threads is not None:
         require_at_least(1, threads=threads)

@@ -1,4 +1,4 @@
-"""``aerial-gym bench memory``: what an environment with a robot and its sensors takes, array by array."""
+"""``aerial-gym bench memory``: memory of an environment with a robot and its sensors, by array."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -116,7 +116,7 @@ def arrays_of(holder: object, device: "torch.device") -> dict[str, int]:
 
 
 def _spans(holder: object, device: "torch.device") -> "Iterator[tuple[int, int, str]]":
-    """Give first byte, byte behind the last and name of every array that can be reached, breadth first."""
+    """Yield first byte, end and name of every reachable array, breadth first."""
     import torch
     import warp as wp
 
@@ -164,7 +164,7 @@ def _parts(thing: object) -> Iterator[tuple[str, object]]:
 
 
 def _free_bytes(device: "torch.device") -> int | None:
-    """Return the free memory of a GPU after giving back what torch only keeps for later; None for a CPU."""
+    """Return the free memory of a GPU after emptying torch's cache; None for a CPU."""
     import torch
 
     if device.type != "cuda":

@@ -2,7 +2,7 @@
 # pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
 # pyright: reportOptionalMemberAccess=false
 # (Warp compiles the kernel from its source; Python's type rules do not describe it.)
-"""Triangle meshes beside which ``bench render`` is measured: the obstacles of an environment merged into one.
+"""Baseline of ``bench render``: all obstacles of an environment as one triangle mesh.
 
 ``merged`` is the method of the Aerial Gym Simulator: a mesh per environment, a query per pixel in the order of rows. At
 most ``DISTINCT`` environments are built and shared by the others, which saves minutes and favours the baseline, as its

@@ -18,7 +18,7 @@ PACKAGES = ("torch", "warp-lang", "aerial-gym")
 
 
 def device_name(device: torch.device) -> str:
-    """Return the name of the processor behind a device."""
+    """Return the processor name of a device."""
     if device.type == "cuda":
         return torch.cuda.get_device_name(device)
     try:

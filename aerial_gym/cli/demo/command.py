@@ -33,7 +33,7 @@ class DemoCmd:
     """Seed of everything."""
 
     def run(self) -> int:
-        """Do the three parts and write the page; return the exit status."""
+        """Run the three parts and write the page; return the exit status."""
         from aerial_gym.cli.demo.page import write_page
         from aerial_gym.cli.demo.parts import close_the_loop, find_flights, learn, look
         from aerial_gym.interop import one_thread

@@ -112,7 +112,7 @@ control = TABLE.class_of("control", SHARED)
 
 
 class _Law:
-    """Stands for the law of one of our controllers; not to be derived: a law of your own is registered in this package."""
+    """Class of a control law of this package; register laws of your own in this package instead of a subclass."""
 
     name = ""
 

@@ -172,7 +172,7 @@ _made: dict[str, type] = {}
 
 
 def sensor_class(sensor: str, name: str | None = None) -> type:
-    """Return the class that stands for a registered sensor; depth cameras there are divided by their range."""
+    """Return the configuration class of a registered sensor; that simulator divides depth images by their range."""
     if sensor not in _made:
         cfg = SENSORS.get(sensor)
         if isinstance(cfg, CameraCfg):
@@ -207,4 +207,4 @@ CLASSES: dict[str, type] = {
 
 
 class BaseSensorConfig:
-    """Ancestor of sensor classes that stand for none of ours: ``sensor_type`` says which kind they are."""
+    """Base of sensor classes written from scratch; ``sensor_type`` gives their kind."""

@@ -25,7 +25,7 @@ def _num_actions(cfg: TaskCfg) -> int:
 
 
 def _num_observations(cfg: TaskCfg) -> int | None:
-    """Return the entries of an observation; None where only the built task tells."""
+    """Return the number of observation entries; None if only the built task determines it."""
     total = 0
     for entry in cfg.observations[POLICY]:
         width = OBSERVATIONS.get(entry.term).width if entry.term in OBSERVATIONS else None

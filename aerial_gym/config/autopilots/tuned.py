@@ -8,7 +8,7 @@ from aerial_gym.errors import ConfigError
 
 
 class Tuned:
-    """Base of the parameters of an autopilot: dataclasses in which every number is >= 0 and finite, and None has it derived."""
+    """Base of the parameters of an autopilot: dataclasses of finite numbers >= 0, where None stands for a derived value."""
 
     NOT_GAINS: ClassVar[frozenset[str]] = frozenset(("rate_hz", "source"))
     """Fields that are no gains: the rate and the source."""

@@ -41,7 +41,7 @@ class TaskVecEnv(IVecEnv):
         self._task = task
 
     def reset(self) -> Tensor:
-        """Start all episodes anew, at random ages; return observations (E, O)."""
+        """Restart all episodes, at random ages; return observations (E, O)."""
         observation, _ = self._task.reset()
         self._task.stagger()
         return observation["observations"]
@@ -103,12 +103,12 @@ class KeeperAgent(A2CAgent):
         """Leave it to ``keep``: the library saves in rank 0 alone."""
 
     def keep(self) -> None:
-        """Keep everything that is needed to go on."""
+        """Write a checkpoint."""
         if self.keeper.ready:
             self.keeper.save(self.get_full_state_weights(), env_steps=int(self.frame))
 
     def restore(self, fn: str, set_epoch: bool = True) -> None:
-        """Go on from the checkpoint of the keeper, with the learning rate that had been adapted."""
+        """Resume from the checkpoint of the keeper, with its adapted learning rate."""
         del fn, set_epoch
         self.keeper.restore(self._take_up)
 

@@ -60,7 +60,7 @@ class TaskBatchedEnv(gymnasium.Env):
     is_multiagent = True
 
     def __init__(self, task: Task, interruption: Interruption | None = None) -> None:
-        """Take a built task, and whether the user asked to end: the library takes most of a start-up to its first update."""
+        """Take a built task and the interruption flag, as the library's start takes long before its first update."""
         self._task, self.num_agents = task, task.num_envs
         self._interruption = interruption or Interruption()
         space = task.observation_space
@@ -71,7 +71,7 @@ class TaskBatchedEnv(gymnasium.Env):
         self._high = torch.as_tensor(task.action_space.high, device=task.device)
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict[str, Tensor], dict]:
-        """Start all episodes anew, at random ages. The library's ``seed`` is the index of its worker; the task has its own."""
+        """Restart all episodes, at random ages. The library's ``seed`` is the index of its worker; the task has its own."""
         del seed, options
         observation, _ = self._task.reset()
         self._task.stagger()
@@ -317,7 +317,7 @@ def _registration(name: str, cfg: TrainingCfg, task: Task, interruption: Interru
 
 @contextlib.contextmanager
 def _env_info_known(cfg: Config) -> Iterator[None]:
-    """Put spaces and sizes into the library's cache: otherwise it builds the task a second time, in another process."""
+    """Fill the library's cache with spaces and sizes; otherwise it builds the task again in another process."""
     file = env_info_cache_filename(cfg)
     info = extract_env_info(make_env_func_batched(cfg, env_config=None), cfg)
     with open(file, "wb") as stream:
@@ -330,7 +330,7 @@ def _env_info_known(cfg: Config) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _own_log() -> Iterator[None]:
-    """Let the library's logger, which writes to the terminal, write to the log of the run (the root's handler)."""
+    """Redirect the library's terminal logger to the log of the run (the root's handler)."""
     log = logging.getLogger("rl")
     kept, log.handlers = log.handlers, list(logging.getLogger().handlers)
     try:

@@ -25,7 +25,7 @@ class SkrlEnv(Wrapper):
     """
 
     def __init__(self, task: Task, *, state: str | None = None) -> None:
-        """Take a built task, and the key of the observation that the critic sees, if it sees another one (skrl: state)."""
+        """Take a built task, and the observation key of the critic if it differs (skrl: state)."""
         super().__init__(task)
         self._task, self._state_key, self._state = task, state, None
         self._info: dict[str, Any] = {}
@@ -37,7 +37,7 @@ class SkrlEnv(Wrapper):
 
     @property
     def state_space(self) -> spaces.Space | None:
-        """Of one environment; None: the critic sees what the policy does."""
+        """Critic's space of one environment; None if equal to the policy's."""
         return None if self._state_key is None else self._task.observation_space[self._state_key]
 
     @property
@@ -46,7 +46,7 @@ class SkrlEnv(Wrapper):
         return self._task.action_space
 
     def reset(self) -> tuple[Tensor, dict[str, Any]]:
-        """Start all episodes anew; return observations (E, O) and info."""
+        """Restart all episodes; return observations (E, O) and info."""
         observation, info = self._task.reset()
         self._task.stagger()
         return self._seen(observation), dict(info)

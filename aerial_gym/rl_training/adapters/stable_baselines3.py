@@ -34,7 +34,7 @@ class Sb3Env(VecEnv):
         super().__init__(task.num_envs, task.observation_space["observations"], task.action_space)
 
     def reset(self) -> NDArray[np.float32]:
-        """Start all episodes anew, with the seed of ``seed`` if it was called since; return observations (E, O)."""
+        """Restart all episodes, with the seed of a preceding ``seed`` call; return observations (E, O)."""
         observation, _ = self.task.reset(seed=self._seeds[0])
         self.task.stagger()
         self._reset_seeds()
@@ -73,11 +73,11 @@ class Sb3Env(VecEnv):
         setattr(self, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Call a method, once for all environments; return what it returns, once for each."""
+        """Call a method once for all environments; return its result once per environment."""
         return [getattr(self, method_name)(*args, **kwargs)] * len(self._rows(indices))
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        """Say of each environment that it is not wrapped."""
+        """Return False for each environment."""
         del wrapper_class
         return [False] * len(self._rows(indices))
 

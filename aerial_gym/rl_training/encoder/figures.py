@@ -32,7 +32,7 @@ Telling = Callable[[Tensor], Tensor]
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """Of pixels, over all images [m]."""
+    """Pixel errors over all images [m]."""
 
     rms_m: float
     """Root of the mean squared error [m]."""

@@ -42,7 +42,7 @@ class Fit:
         }
 
     def load(self, state: Mapping[str, Any]) -> None:
-        """Go on from a state."""
+        """Resume from the content of a checkpoint."""
         self.epochs = int(state["epochs"])
         self.network.load_state_dict(state["network"])
         self.optimizer.load_state_dict(state["optimizer"])

@@ -111,7 +111,7 @@ class Apg(Learner):
         self._critic_adam = FlatAdam(self._critics[0], max_norm=apg.max_grad_norm)
 
     def begin(self) -> None:
-        """Start every episode anew, at random ages."""
+        """Restart every episode, at random ages."""
         super().begin()
         self._task.settle()
 
@@ -137,7 +137,7 @@ class Apg(Learner):
         self._task.settle()
 
     def _fly(self) -> Window:
-        """Fly T steps with exploration."""
+        """Simulate T steps with exploration."""
         task, actor, keys = self._task, self.network.actor, self.network.shapes
         shape = (self._apg.horizon, task.num_envs, task.num_actions)
         noise = torch.randn(shape, generator=self.generator, device=task.device)

@@ -47,7 +47,7 @@ class Distill(Learner):
         return {*self.network.shapes, *self._teacher.shapes}
 
     def iterate(self) -> None:
-        """Fly one segment, ask the teacher, and learn from it."""
+        """Simulate one segment, label it by the teacher, and fit the student."""
         cfg, actor = self._distill, self.network.actor
         teaching = self._falling(1.0, -1.0)  # none is left to it in the second half
         rate = self._falling(cfg.learning_rate, cfg.end_learning_rate)
@@ -71,7 +71,7 @@ class Distill(Learner):
         self.gauges.copy_(torch.stack(numbers))
 
     def _fly(self, led: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor]:
-        """Fly T steps, in the rows of ``led`` as the teacher would.
+        """Simulate T steps, with the teacher's actions in the rows of ``led``.
 
         Returns:
             What the student saw by key, (T, E, ...); whether an episode began there, bool, (T, E); what it remembered before

@@ -85,7 +85,7 @@ class FusedPpo(Ppo):
     """Proximal policy optimisation whose passes through both networks are single launches."""
 
     def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic, ranks: Ranks = ALONE) -> None:
-        """Take what ``Ppo`` takes, where ``why_not_fused`` finds no reason against it."""
+        """Take the arguments of ``Ppo``, if ``why_not_fused`` returns None."""
         super().__init__(cfg, task, network, ranks)
         from aerial_gym.rl_training.learning import kernels
 
@@ -133,7 +133,7 @@ class FusedPpo(Ppo):
         return compiling
 
     def iterate(self) -> None:
-        """Fly one segment and learn from it."""
+        """Simulate one segment and update the networks."""
         while self._compiling:
             self._compiling.pop().result()
         super().iterate()

@@ -15,7 +15,7 @@ _log = logging.getLogger(__name__)
 
 
 class Repeated:
-    """Calls a function that waits for nothing and keeps all it needs in tensors that stay; on CUDA it records it once."""
+    """Repeated calls of a function without waits on fixed tensors; on CUDA a recorded graph."""
 
     def __init__(
         self,

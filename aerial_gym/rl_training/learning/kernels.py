@@ -32,7 +32,7 @@ def _activate(x, kind: tl.constexpr):
 
 @triton.jit
 def _slope(y, kind: tl.constexpr):
-    """Return the derivative of the activation where it gave ``y``."""
+    """Return the derivative of the activation at its output ``y``."""
     if kind == 0:
         d = tl.where(y > 0.0, 1.0, y + 1.0)
     elif kind == 1:

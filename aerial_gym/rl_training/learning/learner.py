@@ -20,7 +20,7 @@ SUMS: tuple[str, ...] = ("env_steps", "episodes", "episode_return", "episode_len
 
 
 class Learner:
-    """Base of the learners. ``iterate`` waits for nothing and keeps all it needs in tensors that stay."""
+    """Base of the learners. ``iterate`` never waits and works on fixed tensors."""
 
     GAUGES: ClassVar[tuple[str, ...]]
     """Names of the numbers of the last update."""
@@ -29,7 +29,7 @@ class Learner:
     """Whether ``iterate`` is held in a CUDA graph on a GPU."""
 
     def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic, ranks: Ranks = ALONE) -> None:
-        """Take settings, a task that holds no graph of its own, a network on its device, and who learns with this process."""
+        """Take settings, a task without a graph of its own, a network on its device, and the processes of the training."""
         self._cfg, self._task, self.network, self.ranks = cfg, task, network, ranks
         device = task.device
         self.generator = torch.Generator(device).manual_seed(cfg.seed + ranks.rank)
@@ -44,7 +44,7 @@ class Learner:
         """``GAUGES`` of the last update."""
 
     def begin(self) -> None:
-        """Start every episode anew, at random ages."""
+        """Restart every episode, at random ages."""
         observation, _ = self._task.reset()
         self._task.stagger()
         self._observation = {key: observation[key].clone() for key in self.keys}
@@ -55,7 +55,7 @@ class Learner:
         return self.network.shapes
 
     def iterate(self) -> None:
-        """Fly one segment and learn from it."""
+        """Simulate one segment and update the networks."""
         raise NotImplementedError
 
     def _count(self, ended: Tensor, episode_return: Tensor, episode_length: Tensor) -> None:

@@ -123,7 +123,7 @@ class Ppo(Learner):
     """The last three are means over the minibatches of the last pass over the samples."""
 
     def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic, ranks: Ranks = ALONE) -> None:
-        """Take settings, a task that holds no graph of its own, a network on its device, and who learns with this process."""
+        """Take settings, a task without a graph of its own, a network on its device, and the processes of the training."""
         super().__init__(cfg, task, network, ranks)
         self._ppo = ppo = cfg.section(PpoCfg)
         self._adam = FlatAdam(network, max_norm=ppo.max_grad_norm)
@@ -131,7 +131,7 @@ class Ppo(Learner):
         self._rate = torch.full((), ppo.learning_rate, device=task.device)
 
     def iterate(self) -> None:
-        """Fly one segment and learn from it."""
+        """Simulate one segment and update the networks."""
         with torch.no_grad():
             flown = self._fly()
             samples = self._judge(flown)
@@ -141,7 +141,7 @@ class Ppo(Learner):
         self.network.count({key: value[:-1] for key, value in flown.observation.items()}, self.ranks)
 
     def _fly(self) -> Flown:
-        """Fly T steps with exploration, and remember where the next segment begins."""
+        """Simulate T steps with exploration, and store the start of the next segment."""
         task, keys = self._task, self.network.shapes
         noise = torch.randn(
             (self._ppo.horizon, task.num_envs, task.num_actions), generator=self.generator, device=task.device
@@ -231,7 +231,7 @@ class Ppo(Learner):
         return self._falling(self._ppo.max_learning_rate, self._ppo.end_learning_rate)
 
     def _learn(self, samples: Samples, old_log_std: Tensor, highest: Tensor) -> None:
-        """Go through all samples once, in a random order of environments, and adapt the learning rate."""
+        """Run one epoch over all samples, in random order of environments, and adapt the learning rate."""
         ppo, log_std, told = self._ppo, self.network.actor.log_std, []
         order = torch.rand(self._task.num_envs, generator=self.generator, device=self._task.device).argsort()
         for chosen in order.tensor_split(ppo.num_minibatches):

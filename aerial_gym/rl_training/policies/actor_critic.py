@@ -73,7 +73,7 @@ class ActorCritic(nn.Module):
         return prepared
 
     def count(self, observation: Mapping[str, Tensor], ranks: Ranks = ALONE) -> None:
-        """Let the normalisers count observations (..., O) of all processes in."""
+        """Update the normalisers by observations (..., O) of all processes."""
         bodies = (self.actor.body,) if self.own_body is None else (self.actor.body, self.own_body)
         for key, normalizer in {key: value for body in bodies for key, value in body.normalizers.items()}.items():
             assert isinstance(normalizer, RunningNormalizer)

@@ -1,4 +1,4 @@
-"""The distribution of actions: independent normal numbers whose deviation does not depend on the observation.
+"""Action distribution: independent normal distributions with a standard deviation independent of the observation.
 
 Letters: U entries of an action.
 """

@@ -53,7 +53,7 @@ class RunningNormalizer(nn.Module):
 
     @torch.no_grad()
     def update(self, samples: Tensor, ranks: Ranks = ALONE) -> None:
-        """Count samples, (N, O), of all processes in; waits for nothing.
+        """Update mean and variance by samples, (N, O), of all processes, without waiting.
 
         Source:
             Chan, Golub, LeVeque (1979), Updating formulae and a pairwise algorithm for computing sample variances, eq. 2.1.

@@ -45,7 +45,7 @@ class Interruption:
 
 @contextmanager
 def interruptible(ranks: Ranks = ALONE) -> Iterator[Interruption]:
-    """Give an ``Interruption`` that both signals set, and put the handlers back; another thread than the main one has none."""
+    """Yield an ``Interruption`` that both signals set, then restore the handlers; only the main thread gets signals."""
     interruption = Interruption(ranks)
     if threading.current_thread() is not threading.main_thread():
         yield interruption

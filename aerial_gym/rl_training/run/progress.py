@@ -148,7 +148,7 @@ class Progress:
 
 
 def _kept_lines(curve_file: Path, resumed_steps: int) -> list[list[str]]:
-    """Return the lines of a learning curve up to a number of steps; a line torn by a kill is none."""
+    """Return the complete lines of a learning curve up to a number of steps."""
     if not curve_file.exists():
         return []
     with curve_file.open(encoding="utf-8", newline="", errors="replace") as file:

@@ -169,7 +169,7 @@ class RunFolder:
 
     @contextlib.contextmanager
     def captured_output(self) -> Iterator[None]:
-        """Send what Python code prints or logs inside to ``log.txt``."""
+        """Redirect prints and logs of the block to ``log.txt``."""
         with self.log_file.open("a", encoding="utf-8", errors="surrogateescape", buffering=1) as log:
             handler = logging.StreamHandler(log)
             root = logging.getLogger()

@@ -26,7 +26,7 @@ def require_wandb() -> None:
 
 @contextmanager
 def sent_to_wandb(project: str, folder: RunFolder, cfg: TrainingCfg) -> Iterator[None]:
-    """Send scalars to a run of a project that bears the folder's name; a resumed training goes on in the same run.
+    """Send scalars to a run of a project that bears the folder's name; a resumed training continues the same run.
 
     The library's own variables hold: ``WANDB_MODE=offline`` keeps all in ``wandb/`` of the folder, for ``wandb sync``.
     """

@@ -72,7 +72,7 @@ class GuardedEvents:
 
 
 def guard(writer: Any) -> GuardedEvents:
-    """Put a guard between a ``tensorboardX.SummaryWriter`` and its file, and return it."""
+    """Wrap the file writer of a ``tensorboardX.SummaryWriter`` with an error guard, and return the guard."""
     file_writer = writer._get_file_writer().event_writer
     guarded = GuardedEvents(file_writer._ev_writer, writer.logdir)
     file_writer._ev_writer = file_writer._worker._record_writer = guarded
@@ -80,7 +80,7 @@ def guard(writer: Any) -> GuardedEvents:
 
 
 class Scalars:
-    """Numbers over environment steps for TensorBoard, one of each a second; nothing where ``tensorboardX`` is not installed.
+    """TensorBoard scalars over environment steps, at most one per second each; idle without ``tensorboardX``.
 
     The library is imported with the first numbers, when a GPU has work meanwhile.
     """

@@ -197,7 +197,7 @@ def _hover(vehicle: Vehicle, gravity: float) -> Tensor:
 
 
 def _with_tail(state: BodyState, tail: TailServo) -> JointedState:
-    """Return the starts with the tail at rest where it holds hover."""
+    """Return the starts with the tail servo at its hover angle."""
     angle = torch.full((NUM_FLIGHTS, 1), tail.trim)
     return JointedState(**vars(state), joint_pos=angle, joint_vel=torch.zeros_like(angle))
 

@@ -81,7 +81,7 @@ class LeaningTail:
         return atan2(force[1], force[2])
 
     def first_beyond(self, unknowns: Array) -> int | None:
-        """Return the rotor from 0 that is beyond its limits, the tail for the servo's as well, or None."""
+        """Return the index of the first rotor beyond its limits, for the tail also the servo's; None if all are within."""
         thrusts = self.thrusts(unknowns)
         beyond = np.flatnonzero((thrusts < self._low) | (thrusts > self._high))
         if beyond.size:

@@ -31,7 +31,7 @@ class FoundRotor:
 
 @dataclass(frozen=True, kw_only=True)
 class Weightless:
-    """Mass whose weight the file takes away: gravity compensation of MJCF, links without gravity of SDF and URDF."""
+    """Mass without weight: gravity compensation of MJCF, links without gravity of SDF and URDF."""
 
     mass: float  # [kg]; below 0 where the file adds weight
     position: np.ndarray  # Centre of mass [m], (3,)

@@ -1,4 +1,4 @@
-"""Joints of the files of other simulators: which links are welded together, and what each joint of the vehicle carries.
+"""Joints of imported files: welded groups of links, and mass and shapes behind each joint.
 
 Frames: axes and origin of the root link, all joints where the file has them at first. SI units.
 """

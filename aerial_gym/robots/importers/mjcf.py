@@ -172,11 +172,11 @@ class _Reader:
         return int(self._model.body_rootid[body]) == int(self._model.body_rootid[self._root])
 
     def frame(self, place: np.ndarray, turn: np.ndarray) -> np.ndarray:
-        """Return a frame of the world in that of the vehicle, (4, 4)."""
+        """Return a world frame relative to the vehicle frame, (4, 4)."""
         return self._from_world @ _pose(place, turn)
 
     def site(self, site: int) -> np.ndarray:
-        """Return the frame of a site in that of the vehicle, (4, 4)."""
+        """Return the frame of a site relative to the vehicle frame, (4, 4)."""
         return self.frame(self._data.site_xpos[site], self._data.site_xmat[site])
 
     def _own_joints(self, body: int) -> list[int]:

@@ -29,7 +29,7 @@ TRUE = ("true", "1")
 
 @dataclass(frozen=True)
 class Scope:
-    """The model in which an element stands."""
+    """Model that contains an element."""
 
     prefix: str  # Put before the names that it uses
     frame: str  # Name of the model's own frame
@@ -89,7 +89,7 @@ class SdfTree:
         return scope.prefix + own.removesuffix(f"::{MODEL}")
 
     def _canonical(self, model: Element, scope: Scope, before: list[str]) -> str:
-        """Return the link that a model's frame goes with: the one it names, its first own one, or that of a model in it."""
+        """Return the canonical link of a model: the named one, its first own one, or that of a nested model."""
         if model.get("canonical_link"):
             return self.scoped(model.get("canonical_link"), scope)
         new = [name for name in self.links if name not in before]
@@ -97,7 +97,7 @@ class SdfTree:
         return next(iter((*own, *new)), "")
 
     def _nest(self, model: Element, placed: Element, inner: Scope, scope: Scope) -> None:
-        """Take a model within another one, at the pose of ``placed``: itself, or the element that includes it."""
+        """Add a model nested in another one, at the pose of ``placed``: itself, or the element that includes it."""
         self._place(inner.frame, placed, scope, scope.frame, _placement(placed, model, inner))
         self.take(model, inner)
 
@@ -132,7 +132,7 @@ class SdfTree:
         return self.scoped(to, scope) if to else default, read_pose(pose, f"{self.where}: pose of {name}")
 
     def pose(self, name: str, within: str = "") -> np.ndarray:
-        """Return a frame in that of the outermost model, or within another one, (4, 4)."""
+        """Return the pose of a frame in the outermost model or in another frame, (4, 4)."""
         pose, seen = np.eye(4), []
         while name != within:
             if name in seen or name not in self._places:
@@ -153,7 +153,7 @@ class SdfTree:
         return self.pose(base) @ pose
 
     def link_of(self, name: str) -> str | None:
-        """Return the link that a joint's parent or child goes with: a link, a frame or a model; None of the world."""
+        """Return the link of a joint's parent or child, which may be a link, a frame or a model; None for the world."""
         seen: list[str] = []
         while name not in self.links:
             if name in seen or name not in self._attached:
@@ -163,7 +163,7 @@ class SdfTree:
         return name
 
     def ends(self, joint: str) -> tuple[str | None, str | None]:
-        """Return parent and child link of a joint; None of the world."""
+        """Return parent and child link of a joint; None for the world."""
         element, scope = self.joints[joint], self.scopes[joint]
         parent, child = (self.link_of(self.scoped(element.findtext(tag), scope)) for tag in ("parent", "child"))
         return parent, child
@@ -195,7 +195,7 @@ class SdfTree:
 
 
 def _placement(placed: Element, model: Element, inner: Scope) -> str | None:
-    """Return the frame of a model that its pose places, or None: its own."""
+    """Return the frame that a model's pose refers to; None for its own."""
     name = placed.findtext("placement_frame") or model.get("placement_frame")
     return None if name is None or name.strip() == MODEL else inner.prefix + name.strip()
 

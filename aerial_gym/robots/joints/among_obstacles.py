@@ -49,7 +49,7 @@ def _notice(
     # out
     crashes_out: wp.array[wp.bool],  # (E,) set where the link touches something fast
 ):
-    """Say of one link of each environment whether it touches an obstacle at the speed of a crash."""
+    """Flag environments in which one link touches an obstacle at crash speed."""
     e = wp.tid()
     x = position[e]
     q = attitude[e]
@@ -88,7 +88,7 @@ def _make_sweep(*, moves: bool, meshes: bool) -> wp.Kernel:
         # out
         crashes_out: wp.array[wp.bool],  # (E,) set where the link touches something fast on its way
     ):
-        """Say of one link of each environment whether it touches an obstacle at the speed of a crash during a substep."""
+        """Flag environments in which one link touches an obstacle at crash speed during a substep."""
         e = wp.tid()
         q0 = first_attitude[e]
         arm = wp.quat_rotate(q0, pivot)
@@ -163,7 +163,7 @@ class LinksAmongObstacles:
 
     @torch.no_grad()
     def begin(self, state: BodyState) -> None:
-        """Keep where the links are."""
+        """Store the link poses before the substep."""
         del state
         self._places.refresh()
         self._first.copy_(self._links)

@@ -35,11 +35,11 @@ class LinkTensors:
     pivots: tuple[Vec3, ...]  # Hinge of each link in its frame [m]; the origin for the base and links that slide
 
     def carriers(self, mounted: Mapping[str, Mounted[RangeSensorCfg] | Mounted[ImuCfg]]) -> dict[str, Carrier]:
-        """Return the links that carry sensors by the names of these; none of sensors on the base."""
+        """Return the carrier link of each sensor by name, without sensors on the base."""
         return {name: self._carrier(self.names.index(each.link)) for name, each in mounted.items() if each.link != BASE}
 
     def shapes_of(self, collision: CollisionCfg) -> "list[LinkShapes]":
-        """Return the collision shapes on every link but the base, where there are any."""
+        """Return the collision shapes of each link except the base."""
         from aerial_gym.assets.collision import LinkShapes
 
         found = [(number, collision.on(name)) for number, name in enumerate(self.names[1:], 1)]

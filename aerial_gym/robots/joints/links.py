@@ -193,5 +193,5 @@ class LinkPlaces:
 
     @torch.no_grad()
     def refresh(self) -> None:
-        """Bring all links to the instant of the state; launched on torch's current stream, not waited for."""
+        """Update all links from the state; launched on torch's current stream, not waited for."""
         self._command.launch(self._written)

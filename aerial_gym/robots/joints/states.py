@@ -59,6 +59,6 @@ class JointStates:
 
     @torch.no_grad()
     def refresh(self) -> None:
-        """Bring ``dof_state_tensor`` to the instant of the state."""
+        """Update ``dof_state_tensor`` from the state."""
         self._together[..., 0].copy_(self._state.joint_pos)
         self._together[..., 1].copy_(self._state.joint_vel)

@@ -30,7 +30,7 @@ class Command:
     """Whether obstacles that are drawn keep their distance from the target of a new episode."""
 
     def __init__(self, values: Values, env: EnvManager) -> None:
-        """Take what it reads, and the simulation for bounds and randomness."""
+        """Take the task's tensors, and the simulation for bounds and randomness."""
         self.values, self.env = values, env
 
     def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -58,7 +58,7 @@ class Command:
         del mask
 
     def _target(self, *, moving: bool = False) -> Tensor:
-        """Declare and return the target [m], (E, 3); that of a moving one has ``target_velocity`` [m/s] beside it."""
+        """Declare and return the target [m], (E, 3); for moving targets also ``target_velocity`` [m/s]."""
         if moving:
             self.values.declare(
                 "target_velocity", (3,), unit="m/s", frame="world", meaning="velocity of the point to fly to"

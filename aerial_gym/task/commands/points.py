@@ -120,7 +120,7 @@ def goals_within(goal: Tensor, env: EnvManager, low: Vec3, high: Vec3, name: str
 
 
 def next_index(values: Mapping[str, Tensor], passed: Tensor, count: int, *, loop: bool) -> Tensor:
-    """Return the index of the next one of ``count``, int32, (E,): the first where an episode begins, one more where passed."""
+    """Return the next index below ``count``, int32, (E,): the first at the start of an episode, one more after a pass."""
     index = values["target_index"] + passed.int()
     index = torch.where(index >= count, 0 if loop else count - 1, index)
     return torch.where(values["begun"], 0, index).int()
@@ -145,7 +145,7 @@ STATES = "vec_root_tensor"
 
 @COMMANDS.generator("asset")
 class OnAsset(Command):
-    """A point at an asset's origin, or beside it, and the asset's velocity as ``target_velocity``."""
+    """A point at an asset's origin or an offset from it, with the asset's velocity as ``target_velocity``."""
 
     def __init__(self, values: Values, env: EnvManager, *, name: str, offset: Vec3 = (0.0, 0.0, 0.0)) -> None:
         """Take the asset.

@@ -99,7 +99,7 @@ class Polynomial(Command):
         points: int = 5,
         center: Vec3 = (0.0, 0.0, 0.0),
     ) -> None:
-        """Take what is drawn, and the limits.
+        """Take the random points and the limits.
 
         Args:
             size: Half of the box in which the points of each episode are drawn, uniformly [m], >= 0, not all 0.

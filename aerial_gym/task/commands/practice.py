@@ -14,7 +14,7 @@ FIRST_GATE = "first_gate"
 
 
 class Practice:
-    """Places robots behind a gate other than the last one, as if just flown through, where a training asks for it."""
+    """Start of training episodes behind a gate other than the last, as if just passed."""
 
     def __init__(
         self,

@@ -27,7 +27,7 @@ SEEN = {"gates_seen": "gate_position", "poles_seen": "pole_position"}
 
 @COMMANDS.generator("track_gates")
 class TrackGates(Command):
-    """The next gate of the track: its middle is the target, ``target_orientation`` how it stands; the first one at a reset.
+    """The next gate of the track, the first at a reset: its centre is the target, ``target_orientation`` its orientation.
 
     ``gate_passed``, ``gate_missed`` and ``sequence_done`` are as those of ``gates``. ``gates_seen`` and ``poles_seen`` mark
     gates and poles that were within horizontal range since the reset; of others the pilot knows the nominal pose.

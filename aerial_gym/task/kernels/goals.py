@@ -39,7 +39,7 @@ class Goals:
     def __init__(
         self, goal: Tensor, *, bounds: tuple[Tensor, Tensor], ratios: tuple[Vec3, Vec3], random: Randomness
     ) -> None:
-        """Take what is written and what it depends on.
+        """Take the output and the inputs of the draws.
 
         Args:
             goal: Written where a mask says so [m], world, (E, 3).

@@ -44,7 +44,7 @@ class WhiteNoise:
         *,
         purpose: Purpose = Purpose.OBSERVATION,
     ) -> None:
-        """Take what the draws depend on.
+        """Take the inputs of the draws.
 
         Args:
             kinds: Standard deviation of the noise and probability of being dropped, of each entry with either, by its number.
@@ -69,7 +69,7 @@ class WhiteNoise:
             )
 
     def draw(self, *, final: bool = False) -> None:
-        """Draw the noise of the present step of the present episodes; the last observation of one has noise of its own."""
+        """Draw the noise of the present step of the present episodes; the last observation of an episode has separate noise."""
         if self._command is not None:
             self._command.set_param_at_index(1, int(Purpose.FINAL_OBSERVATION if final else self._purpose))
             self._command.launch(self.noise)

@@ -64,7 +64,7 @@ def _practise(
 
 
 class PracticeStarts:
-    """Draws where masked environments begin, with all views made at construction; attitudes stay those of the reset."""
+    """Draws of start positions of masked environments, with all views made at construction; attitudes stay."""
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class PracticeStarts:
         first_out: Tensor,
         random: Randomness,
     ) -> None:
-        """Take what is written and what it depends on.
+        """Take the output and the inputs of the draws.
 
         Args:
             robot: Whose motion is written where an episode begins behind a gate.

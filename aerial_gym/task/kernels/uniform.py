@@ -49,7 +49,7 @@ class UniformDraws:
         random: Randomness,
         whole: bool = False,
     ) -> None:
-        """Take what is written and what it depends on.
+        """Take the output and the inputs of the draws.
 
         Args:
             drawn: Written where a mask says so, (E, N).

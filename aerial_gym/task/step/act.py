@@ -35,7 +35,7 @@ def declare_delay(cfg: ActionCfg, values: Values) -> None:
 
 
 class Actor:
-    """From the actions of a policy to commands; the actions themselves where nothing is between."""
+    """Conversion of a policy's actions to commands; the identity without transform, delay, filter and noise."""
 
     def __init__(
         self,
@@ -49,7 +49,7 @@ class Actor:
         dt: float,
         random: Randomness,
     ) -> None:
-        """Take what is between, and declare what it remembers; make it when everyone has said what they read.
+        """Take the conversion and declare its buffers; make it after all inputs are declared.
 
         Args:
             dt: Length of a step [s].

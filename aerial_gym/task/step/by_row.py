@@ -21,7 +21,7 @@ Result = TypeVar("Result", Tensor, tuple[Tensor, ...])
 
 
 class ByRow(Generic[Result]):
-    """A pure function of tensors of rows as one kernel, traced at its first call; as torch operations where that fails."""
+    """A pure row function as one kernel, traced at its first call; as torch operations if that fails."""
 
     def __init__(self, function: Callable[..., Result], what: str) -> None:
         """Take the function and its name in warnings."""
@@ -29,7 +29,7 @@ class ByRow(Generic[Result]):
         self._rows: RowFunction | None = None
         self._single = True
         self.reason: str | None = None
-        """Why it runs as torch operations, or None."""
+        """Reason for running as torch operations, or None."""
 
     def __call__(self, *tensors: Tensor, out: Sequence[Tensor] = ()) -> Result:
         """Return the function's results; the first are also written into ``out``, which may be inputs."""
@@ -44,7 +44,7 @@ class ByRow(Generic[Result]):
         return cast("Result", results[0] if self._single else results)
 
     def prepare(self, tensors: Sequence[Tensor]) -> str:
-        """Make the kernel of such tensors now; return why that cannot be, or nothing."""
+        """Make the kernel for such tensors; return the reason of a failure, else an empty string."""
 
         def noting(*inputs: Tensor) -> Result:
             result = self._function(*inputs)
@@ -103,7 +103,7 @@ class NamedRows:
 
     @property
     def reason(self) -> str | None:
-        """Why it runs as torch operations, or None."""
+        """Reason for running as torch operations, or None."""
         return self._rows.reason
 
     def __call__(self, **changing: Tensor) -> dict[str, Tensor]:
@@ -142,7 +142,7 @@ class NamedRows:
         return on_whole_vectors(self._of, given[0].shape[0], given[0].device)(*given)
 
     def plainly(self, **changing: Tensor) -> dict[str, Tensor]:
-        """Return all results as torch computes them; nothing is written."""
+        """Return all results by torch operations, without writing outputs."""
         values = {**self._reads, **changing}
         return self._function(values | {term.label: self._beside(term, values) for term in self.apart})
 

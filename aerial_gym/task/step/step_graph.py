@@ -43,7 +43,7 @@ def check_terms(terms: Mapping[str, Callable[[], object]]) -> None:
 
 
 def check_untraced(parts: Sequence[NamedRows], values: Mapping[str, Tensor]) -> None:
-    """Refuse terms that wait for the GPU; a kernel cannot, so only what runs as torch operations is asked.
+    """Refuse terms that wait for the GPU; only terms that run as torch operations can.
 
     Raises:
         CapabilityError: If a term copies to the host or branches on a tensor.
@@ -90,7 +90,7 @@ class StepGraph(Generic[Result]):
             ) from error
 
     def replay(self, actions: Tensor) -> Result:
-        """Run the recorded step with these actions, (E, U); return what it returned."""
+        """Replay the recorded step with these actions, (E, U), and return its results."""
         if actions.shape != self._actions.shape:
             raise ShapeError(
                 f"actions has shape {tuple(actions.shape)}, expected (E, U) = {tuple(self._actions.shape)}"

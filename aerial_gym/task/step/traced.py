@@ -42,7 +42,7 @@ class Graph:
         self._own = {name: tensor.detach() for name, tensor in self._own.items()}
 
     def settle(self) -> None:
-        """Let gradients end at this instant, in tensors that are the same at every call."""
+        """Cut the gradients at this instant, in tensors that stay the same at every call."""
         self._own = in_places(self._places, self._own)
 
     def forget(self) -> None:

@@ -172,7 +172,7 @@ def action_size_by_difficulty(
 def collision_soon(
     robot_clearance: Tensor, previous_clearance: Tensor, step_time: Tensor, *, height: float, width: float
 ) -> Tensor:
-    """Return ``-height exp(-width t⁴)``, t the time to a collision [s]; 0 where nothing comes nearer, (E,).
+    """Return ``-height exp(-width t⁴)``, t the time to a collision [s]; 0 without an approaching obstacle, (E,).
 
     t is the clearance divided by the speed at which it fell in the last step.
     """

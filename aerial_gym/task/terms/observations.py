@@ -127,7 +127,7 @@ def ang_vel_body(robot_body_angvel: Tensor) -> Tensor:
 
 @OBSERVATIONS.term(width=1)
 def zero(robot_position: Tensor) -> Tensor:
-    """Return nothing, 0, (E, 1)."""
+    """Return the constant 0, (E, 1)."""
     return torch.zeros_like(robot_position[:, :1])
 
 

@@ -130,5 +130,5 @@ def sequence_done(sequence_done: Tensor) -> Tensor:
 
 @TERMINATIONS.term()
 def gate_missed(gate_missed: Tensor) -> Tensor:
-    """Return whether the robot crossed the plane of its gate beside the opening in this step, (E,)."""
+    """Return whether the robot crossed its gate's plane outside the opening in this step, (E,)."""
     return gate_missed.clone()

@@ -1,4 +1,4 @@
-"""Other renderers beside ours: ``aerial-gym bench render --against``.
+"""Other renderers for comparison: ``aerial-gym bench render --against``.
 
 ``catalog.py`` lists them, ``runs.py`` starts a process for each and compares its images with ours. ``worker.py``,
 ``mujoco_scene.py`` and each ``peer_*.py`` run in the interpreter of a peer and import nothing of ours.

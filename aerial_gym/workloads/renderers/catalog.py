@@ -1,4 +1,4 @@
-"""The renderers that are measured beside ours, each in a process of its own."""
+"""Renderers for comparison, each in its own process."""
 
 import os
 from dataclasses import dataclass

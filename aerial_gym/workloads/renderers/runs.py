@@ -73,7 +73,7 @@ def run_peer(
     repeats: int,
     repeat_time_s: float,
 ) -> PeerTimes:
-    """Draw and time the images of a scene in a process of its own; on the CPU it is held to as many cores as threads.
+    """Render and time a scene in a separate process, on the CPU pinned to as many cores as threads.
 
     Raises:
         WorkloadError: If the process fails; the text is its last line.
