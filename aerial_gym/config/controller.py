@@ -152,8 +152,8 @@ def _require_tilt(config: LeeGainsCfg | ControlCfg, tilt: float) -> None:
 class RateLoopCfg:
     """A controller of body rates with memory, as flight firmware has it: proportional, integral and filtered derivative action.
 
-    The wanted angular acceleration is ``P e + I - D``, with the rate error e, the integral I of ``integral e``, and D the
-    measured angular acceleration times ``derivative`` behind a low-pass. Under saturation of an axis I grows no further in
+    The desired angular acceleration is ``P e + I - D``: e is the rate error, I the integral of ``integral e``, and D the
+    low-passed angular acceleration times ``derivative``. Under saturation of an axis I grows no further in
     that direction. Missing values are derived (``control.gains``).
     """
 

@@ -1,8 +1,8 @@
 """One rotor type: state, thrust and drag torque, lag and limits.
 
 In speed mode the state of a rotor is its speed [rad/s], in force mode its thrust [N]; lag, slew rate and dead band are those of
-the state. A rotor whose thrust may be negative is reversible: its state has a sign, and turning backwards at a speed w it gives
-the thrust of ``reverse_thrust_map`` at the size of w against its axis, and the opposite drag torque.
+the state. A rotor whose thrust may be negative is reversible: its state has a sign. At a negative speed it gives the thrust
+of ``reverse_thrust_map`` at the absolute speed, against its axis, and the opposite drag torque.
 """
 
 from dataclasses import dataclass

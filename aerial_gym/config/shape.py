@@ -47,8 +47,8 @@ def require_color(config: object, *names: str) -> None:
 class CheckerCfg:
     """Fields of a second colour, as in a chessboard: a texture that shows how a camera moves.
 
-    The board is solid: cubes of two colours fill the frame of the shape, with a corner of eight of them at its origin, and
-    the surface shows what it cuts, looked up 1 % of a field below the surface so that faces may lie between cubes. It moves
+    The board is solid: cubes of two colours fill the frame of the shape, with a common corner at its origin. The surface
+    has the colour of the cube 1 % of a field below it, so that faces may lie between cubes. It moves
     and turns with the shape. Each pixel shows the field that its ray meets; far fields are not blurred.
     """
 
@@ -118,8 +118,8 @@ class ShapeCfg:
 
     color: Vec3 | None = None
     """Red, green, blue of its surface as colour cameras see it, each 0 to 1. If not given: a mesh has the colours of its
-    file (of vertices or faces, textures, materials), a part of a compound that of the compound, a link of a URDF that of its
-    material, and what has none of these a plain colour of its kind. A given one replaces the colours of a mesh file; that of
+    file (vertices, faces, textures, materials), a part of a compound those of the compound, and a link of a URDF that of
+    its material. Other shapes have a plain colour of their kind. A given one replaces the colours of a mesh file; that of
     a compound or a URDF is for the parts and links without one."""
 
     checker: CheckerCfg | None = None

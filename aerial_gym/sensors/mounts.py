@@ -144,8 +144,8 @@ def mounted_sensors(
 
     Raises:
         UnknownNameError: If a sensor is not registered.
-        ConfigError: If a file does not hold one, a mount asks for what the sensor cannot, there is no sensor of a name in
-            ``places``, or another way or distribution is asked for there.
+        ConfigError: If a file holds no sensor, a mount has an option that the sensor lacks, or ``places`` has an unknown
+        sensor, or a draw other than a uniform offset.
     """
     places = places or {}
     _check_places(places, mounts)

@@ -66,8 +66,8 @@ class Task:
     the reset; where there are gates, so is ``gate_passed``, bool (E,).
 
     A row with NaN or infinite values ends as a crash: ``info["non_finite"]``, bool (E,), marks it. Its reward is that of a
-    crash (0 if the task has none), its last observation has zeros in place of these values, and it is reset like other
-    ended rows, which it does not affect. A warning names the first such row, and ``watch`` records the steps before it.
+    crash (0 if the task has none), and its last observation has zeros in place of these values. It is reset like other
+    ended rows and does not affect them. A warning names the first such row, and ``watch`` records the steps before it.
 
     Images are taken once a step, after the reset, so that image terms of ``final_observation`` are one step old. Tasks with
     raw ``images`` take them before the reset, and again where an episode begins: then all are of their instant, and
@@ -76,8 +76,8 @@ class Task:
     On a GPU the whole step is one CUDA graph, recorded at the first ``reset``: the tensors that ``step`` returns are then
     overwritten by the next one; clone what must stay. ``captured`` is true in that case.
 
-    Around a ``differentiable`` simulation reward, observation and last observation of an episode have gradients with respect to
-    the actions of this step and of those before it, back to the reset of their row or to ``detach``. Such a step is no graph of
+    With a ``differentiable`` simulation reward, observation and last observation have gradients with respect to the actions
+    of this and earlier steps. Gradients reach back to the reset of a row or to ``detach``. Such a step is no graph of
     its own.
     """
 

@@ -1,8 +1,8 @@
 """Parameters of PX4's control cascade, by the names that PX4 gives them.
 
 Source: PX4 Autopilot 1.14, parameter reference; what is left out is derived from the vehicle (``control.px4.parameters``), so
-that a robot without tuning flies. Numbers without unit are normalised as in PX4: 1 is all that the rotors can give of thrust,
-and of torque what changes them by about all of their thrust (``control.px4.parameters.unit_wrench``).
+that a robot without tuning flies. Numbers without unit are normalised as in PX4: 1 is the largest total thrust, or a torque
+that changes rotor thrusts by about their full range (``control.px4.parameters.unit_wrench``).
 """
 
 from dataclasses import dataclass

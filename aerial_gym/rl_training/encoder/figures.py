@@ -61,8 +61,8 @@ def by_mean(train: Images) -> Telling:
 def by_components(train: Images, latents: int) -> Telling:
     """Return the reconstruction from the first principal components of the images, by least squares.
 
-    Where target and image are the same this is the best that any linear encoder and decoder of so many numbers can do
-    (Eckart and Young 1936), on the images that it was made of.
+    With equal target and image this is the optimal linear encoder and decoder of this size on its training images (Eckart
+    and Young 1936).
     """
     seen, target = train.seen.flatten(1), train.target.flatten(1)
     mean, aim = seen.mean(0), target.mean(0)

@@ -1,8 +1,8 @@
 """Links, joints, frames and plugins of an SDF model, of the models nested in it, and of those that it includes.
 
-A pose is relative to the frame that it names, or else to that of the model (a link, a frame, a nested model), of the link (a
-collision), or of the child (a joint). Names within a nested model ``m`` are scoped: ``m::link``. ``model://NAME`` is looked for
-in the folder that holds the file's own, other addresses in the file's own folder.
+A pose is relative to the frame that it names. Its default is the model's frame for a link, a frame or a nested model, the
+link's frame for a collision, and the child's frame for a joint. Names within a nested model ``m`` are scoped: ``m::link``.
+``model://NAME`` is looked for in the folder that holds the file's own, other addresses in the file's own folder.
 
 Source: sdformat.org, "Pose frame semantics" and "Model composition" (1.7 and later; older files name no frames, and mean the
 same).

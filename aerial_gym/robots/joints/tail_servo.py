@@ -41,8 +41,8 @@ def tail_servo(robot: RobotCfg, *, dt: float, gravity: float = STANDARD_GRAVITY)
     """Return the servo law of a tricopter: one tail rotor on a joint about body x, behind the centre of mass.
 
     With the tail at the distance L behind it, its share T of the weight and the moment of inertia J, ``J r' = L T angle`` about
-    the trim. The loop is as quick as the servo's lag (damping over stiffness) and a time step allow, and at most so quick that
-    an error of 1 rad asks for no more than the servo's range beyond the trim: as in ``control.gains.derived_gains``.
+    the trim. The servo's lag (damping over stiffness) and the time step limit the bandwidth. In addition an error of 1 rad
+    must not command more than the servo's range beyond the trim: as in ``control.gains.derived_gains``.
 
     Raises:
         ConfigError: If there is no such joint, or its drive follows no angle.

@@ -10,8 +10,8 @@ from torch import Tensor
 from aerial_gym.math.short import dot
 
 PAIRS = {"cpu": 1 << 18, "cuda": 1 << 24}
-"""Pairs of rays and points that are held at once, by the kind of device: 1 MB for each of a few tensors, which stays near the
-processor (2.2 times as fast as 64 MB), and 64 MB, which fills a GPU."""
+"""Pairs of rays and points per block, by device type. On a CPU each tensor has 1 MB and stays in the cache, 2.2 times as
+fast as 64 MB; 64 MB fill a GPU."""
 
 
 def collision_distance(distance: Tensor, rays: Tensor, *, radius: float, largest: float) -> Tensor:

@@ -57,8 +57,8 @@ class Gates(Command):
     """The next gate's centre is the target, ``target_direction`` and ``target_orientation`` the way through it.
 
     ``following_position`` and ``following_direction`` are those of the gate behind it. A reset begins with the first gate;
-    ``gate_passed`` is true in the step in which the robot crosses the gate's plane in its direction through the opening,
-    ``gate_missed`` where it crosses beside it, ``sequence_done`` where it passes the last one.
+    ``gate_passed`` is true in the step that crosses the gate's plane forward through the opening, ``gate_missed`` in one
+    that crosses outside it. ``sequence_done`` is true when the last gate is passed.
     """
 
     def __init__(

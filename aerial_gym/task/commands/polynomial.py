@@ -3,8 +3,8 @@
 With K points and the same time T between neighbours the integral of the squared fourth derivative is least for polynomials of
 degree 7 that meet with six equal derivatives; a track begins and ends with zero velocity, acceleration and jerk. Its value at a
 time is then a sum over the points with weights that depend on the share of the time alone, ``p(t) = sum_k w_k(t / T) p_k``.
-T belongs to the track: the shortest at which no control point of the Bernstein form of velocity and acceleration exceeds its
-limit, so that they themselves do not (a polynomial lies in the convex hull of its control points).
+T belongs to the track: the shortest at which all Bernstein control points of velocity and acceleration are within their
+limits. The polynomials are then within them too, as they lie in the convex hull of their control points.
 Source: Mellinger, Kumar (2011), Minimum snap trajectory generation and control for quadrotors, eq. 6; Farouki (2012), The
 Bernstein polynomial basis, section 3.
 Frames: world of each environment, z up. Letters: E environments, K points, S = K - 1 segments.
