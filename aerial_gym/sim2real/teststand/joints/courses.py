@@ -153,7 +153,7 @@ def _efforts(robot: RobotCfg, state: TreeState, rotors: torch.Tensor, acc: torch
     assert articulation is not None
     damping = link_damping(model, articulation, links, state)
     if damping is not None:
-        wrench = wrench + damping.held(links)
+        wrench = wrench + damping.start_wrench(links)
     found = equations(articulation.tree, links, state, gravity=STANDARD_GRAVITY, wrench=wrench)
     fluid = link_fluid(model, links, state)
     if fluid is not None:
