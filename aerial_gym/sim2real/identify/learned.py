@@ -119,7 +119,7 @@ def train_residual(predictor: Predictor, params: ModelParams, left_out: LeftOut,
     """
     if params.learned is not None:
         raise ConfigError(
-            "the robot file already has a learned_residual, and named effects come first. Take it out to learn it anew"
+            "the robot file already has a learned_residual, but named effects come first. Remove it to train a new one"
         )
     if any(flight.lin_vel is None for flight in predictor.flights):
         return Learned(cfg=None, objections=(Finding("no_velocity"),))

@@ -120,6 +120,6 @@ def check_rotor_clock(log: FlightLog, robot: RobotCfg, bandwidth: float) -> None
     time, most = 1e3 * float(rows[best]) / curve.rate, 1e3 * LARGEST_SHIFT_S
     way = f"{'lead' if time > 0.0 else 'lag'} the accelerometer by {abs(time):.0f} ms"
     raise DataError(
-        f"{log.path}: rotor_1..{log.num_rotors} {way}, more than clocks are off ({most:.0f} ms); move these columns to the "
-        "rows at which the rotors turned so, or call them cmd_* if they were commanded and not measured"
+        f"{log.path}: rotor_1..{log.num_rotors} {way}, more than any clock offset ({most:.0f} ms); correct the time of "
+        "these columns, or name them cmd_* if they are commands and not measurements"
     )

@@ -64,7 +64,7 @@ def check_scene(names: Sequence[str], flights: Sequence[Flight]) -> None:
     for name in names:
         if reason := lacks_of_scene(name, flights):
             where, need = reason.values["flights"], NEEDED[str(reason.values["need"])]
-            raise DataError(f"the robot file declares {name}, but the flights do not tell it: {where}: without {need}")
+            raise DataError(f"the robot file declares {name}, which these flights cannot show: {where}: without {need}")
 
 
 def heights(flights: Sequence[Flight], rows: Sequence[int]) -> Heights:

@@ -323,7 +323,7 @@ def study_balance(
     """Return a study of the cause of changed rotor efforts at hover against a baseline."""
     named = [path.resolve() for path in (*baseline, *flights, *test)]
     if len(set(named)) < len(named):
-        raise ConfigError("a log is named twice among flights, --baseline and --test; each has one part to play")
+        raise ConfigError("a log is named twice among flights, --baseline and --test; each log has one role")
     others = [path for whole, path in {path.resolve(): path for path in repeats}.items() if whole not in named]
 
     def read(paths: Sequence[Path]) -> list[HoverEffort]:

@@ -120,7 +120,9 @@ class Bench:
             )
         unit = self._units.get(quantity) or known.get(column.lower())
         if unit is None:
-            raise DataError(f"{self.path}: the unit of column {column!r} is not known; say it: --units {quantity} UNIT")
+            raise DataError(
+                f"{self.path}: the unit of column {column!r} is not known; give it: --units {quantity} UNIT"
+            )
         return numbers * UNITS[kind][unit]
 
 

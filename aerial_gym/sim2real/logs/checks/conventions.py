@@ -183,7 +183,7 @@ def _check_attitude_against_rate(log: FlightLog, attitude: Rotation) -> None:
     guess = f"it looks as if {best}" if others[best] < 0.6 * miss else "check order, direction, axes and units of both"
     raise DataError(
         f"{log.path}: attitude (q_x, q_y, q_z, q_w) and omega contradict each other by {miss:.0%} of their size; "
-        f"{guess}; correct the columns or say so in a mapping file"
+        f"{guess}; correct the columns or declare it in a mapping file"
     )
 
 
@@ -225,11 +225,11 @@ def _upside_down(log: FlightLog, attitude: Rotation) -> str:
     """Return the remedy for gravity that is negative in body and world axes: if both have z down, velocity rises with acc."""
     both = "give body_frame: frd and world_frame: ned in a mapping file"
     if log.lin_vel is None:
-        return f"if its signs are turned, turn them; if body and world axes have z down, {both}"
+        return f"if only its signs are inverted, invert them; if body and world axes have z down, {both}"
     assert log.specific_force is not None
     motion = _slow(log.lin_vel, log, derivative=True)
     felt = _slow(attitude.apply(log.specific_force), log) + AT_REST
-    return f"body and world axes have z down: {both}" if np.sum(felt * motion) > 0.0 else "turn the signs of acc"
+    return f"body and world axes have z down: {both}" if np.sum(felt * motion) > 0.0 else "invert the signs of acc"
 
 
 def _check_velocity(log: FlightLog, attitude: Rotation) -> None:
@@ -310,5 +310,5 @@ def _check_motion_frame(log: FlightLog, attitude: Rotation, felt: Array) -> None
         name = "position (p_x, p_y, p_z)" if log.lin_vel is None else "velocity (v_x, v_y, v_z)"
         raise DataError(
             f"{log.path}: {name} contradicts acc and attitude by {miss:.0%} of the acceleration; it looks as if {best}; "
-            "correct the columns or say so in a mapping file"
+            "correct the columns or declare it in a mapping file"
         )

@@ -37,8 +37,8 @@ def check_rotor_law(log: FlightLog, robot: RobotCfg, on_ground: Flags | None) ->
         unit = "N" if "force" in robot.rotor_traits else "rad/s"
         grows = f"{low:.2g} to {high:.2g} times as steeply with {name}_1..{values.shape[1]}"
         raise DataError(
-            f"{log.path}: the force felt grows {grows} as the robot file declares; it looks as if they were no {unit} but a "
-            "pulse width, a duty cycle or a thrust: convert them in a mapping file (power, gain, offset), or leave them empty"
+            f"{log.path}: the measured force rises {grows} as the robot file declares; the columns probably hold not {unit} "
+            "but a pulse width, a duty cycle or a thrust: convert them in a mapping file (power, gain, offset), or empty them"
         )
 
 

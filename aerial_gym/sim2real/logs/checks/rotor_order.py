@@ -49,9 +49,8 @@ def check_order(log: FlightLog, robot: RobotCfg) -> None:
         if misses[0] > WORST_AGREEMENT and misses[best] < BETTER * misses[0]:
             columns = ", ".join(f"{name}_{column + 1}" for column in orders[best])
             raise DataError(
-                f"{log.path}: {name}_1..{robot.num_rotors} turn the vehicle otherwise than the robot file declares (they miss "
-                f"the angular acceleration by {misses[0]:.0%}); it looks as if its rotors in their order are {columns}: "
-                "reorder the columns, or the mounts of the robot file"
+                f"{log.path}: {name}_1..{robot.num_rotors} in the declared order predict the angular acceleration with an "
+                f"error of {misses[0]:.0%}; the probable order is {columns}: reorder the columns or the robot's mounts"
             )
 
 

@@ -43,7 +43,7 @@ def check_clock_steps(log: FlightLog, times: Sequence[float]) -> None:
         for name, errors in motion_errors(log, lag).items():
             if others.any() and found[name][row - 1] > APART * np.quantile(errors[others], 1.0 - SURPRISE):
                 raise DataError(
-                    f"{log.where(row)}: the clock was set back there, and the {name} does not go on from the row before: rows "
+                    f"{log.where(row)}: the clock was set back there, and the {name} is discontinuous: rows "
                     "are missing, or another flight begins; cut the log there and give both parts as flights"
                 )
 
@@ -67,7 +67,7 @@ def check_one_course(log: FlightLog) -> None:
             if name != chooser and apart.any():
                 row = first + int(np.argmax(apart)) * WINDOW_ROWS
                 raise DataError(
-                    f"{log.where(row)}: from there on the rows follow two time courses in turn: the clock was set back, and "
+                    f"{log.where(row)}: from there on rows of two flights alternate: the clock was set back, and "
                     "the rows were sorted by time; give the log in the order in which it was written"
                 )
 

@@ -168,15 +168,16 @@ def check_growth(log: FlightLog) -> None:
     by = _by_accelerometer(log, letters[0]) if letters else None
     if by is None:
         return
-    start = f"{log.path}: {' and '.join({'v': 'velocity', 'p': 'position'}[letter] for letter in letters)}"
+    names = " and ".join({"v": "velocity", "p": "position"}[letter] for letter in letters)
     if by.turned.any():
         columns = " and ".join(_columns([letter], by.turned) for letter in letters)
         raise DataError(
-            f"{start} contradict acc and attitude; it looks as if {columns} had the other sign: multiply the columns by -1"
+            f"{log.path}: {names} contradict acc and attitude; it looks as if {columns} have the wrong sign: multiply the "
+            "columns by -1"
         )
     if by.told.sum() >= 2 and np.array_equal(by.scaled, by.told):
         ways = "; ".join(_unit(letter, by, _pooled(by), 1.0 / _pooled(by)) for letter in letters)
-        raise DataError(f"{start} grow otherwise than acc and attitude say; it looks as if {ways}")
+        raise DataError(f"{log.path}: the change of {names} contradicts acc and attitude; it looks as if {ways}")
 
 
 def _by_accelerometer(log: FlightLog, letter: str) -> Relation | None:
@@ -226,7 +227,7 @@ def _ways_out(found: Relation, letters: list[str]) -> str:
             "mapping file"
         )
     if found.turned.any():
-        said.append(f"{_columns(letters, found.turned)} had the other sign: multiply the column by -1")
+        said.append(f"{_columns(letters, found.turned)} have the wrong sign: multiply each column by -1")
     if found.scaled.any():
         factor = _pooled(found)
         said.append(_unit("v" if factor < 1.0 else "p", found, factor, min(factor, 1.0 / factor)))
@@ -245,7 +246,7 @@ def _unit(letter: str, found: Relation, factor: float, mends: float) -> str:
     if abs(np.log(mends / UNITS[best])) < FITS:
         return f"{columns} were in {best} (factor {mends:.3g}): give {name} unit: {best} in a mapping file"
     way = f"give {name} gain: {mends:.3g} in a mapping file"
-    return f"{columns} had to be multiplied by {mends:.3g}, which no unit explains: {way}"
+    return f"{columns} need a factor of {mends:.3g}, which is no known unit: {way}"
 
 
 def _notes(found: Relation | None) -> list[Finding]:

@@ -77,7 +77,7 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
             if np.nanmax(np.abs(values[name]), initial=0.0) > LARGEST:
                 raise DataError(
                     f"{path}: {columns[0]} to {columns[-1]} reach {np.nanmax(np.abs(values[name])):.3g} in SI units, at most "
-                    f"{LARGEST:.0g} is of this world; check the unit"
+                    f"{LARGEST:.0g} is plausible; check the unit"
                 )
     if layout.lacks:
         notes.append(Finding("mapping_note", "", {"text": layout.lacks}))
@@ -126,7 +126,7 @@ def _height(values: Array, layout: LogMapping, name: str, path: str) -> float:
     """Return the height of a level surface [m], z up; refuse one that varies."""
     if np.ptp(values) > 0.0:
         raise DataError(
-            f"{path}: {name} runs from {values.min():g} to {values.max():g} m; a flight has one number for it: cut the log "
+            f"{path}: {name} varies from {values.min():g} to {values.max():g} m, must be constant in a flight; cut the log "
             "where it changes"
         )
     return float(values[0, 0]) * (-1.0 if layout.world_frame == "ned" else 1.0)

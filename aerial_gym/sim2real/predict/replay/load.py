@@ -1,7 +1,7 @@
 """Replay of a suspended load along flights, driven by the measured motion of the body origin.
 
 The swing is integrated from an unknown initial state of two angles and two rates. Gauss-Newton steps fit these to the
-unexplained specific force of the first 16 s, with a weak prior around a link at rest along the apparent gravity. Without
+unexplained specific force of the first 16 s. A weak prior assumes a link at rest along the apparent gravity. Without
 a measured specific force the prior alone holds. The fit is repeated for each model, also in test flights: every model
 with a load receives these four numbers per flight as its initial state, not as a prediction.
 Letters: N steps, K steps of the initial fit, F flights.

@@ -71,7 +71,7 @@ def read_course(path: Path, robot: RobotCfg, *, bandwidth: float) -> Course:
         columns.append(known[0])
     angles = np.asarray(table[columns].apply(pd.to_numeric, errors="coerce"), dtype=float)
     if not np.isfinite(angles).all():
-        raise DataError(f"{path}: angles of joints hold empty fields or no numbers; cut the log, or fill them")
+        raise DataError(f"{path}: joint angles have empty or non-numeric fields; cut the log, or fill them")
     return course_of(robot, log, interpolated(log.time, time, angles), bandwidth=bandwidth)
 
 
@@ -142,7 +142,7 @@ def checked_rate(log: FlightLog, bandwidth: float) -> float:
             f"{log.path}: {rate:.4g} rows per second; a bandwidth of {bandwidth:g} Hz needs five times that"
         )
     if log.ang_vel is None or (log.specific_force is None and log.lin_vel is None):
-        raise DataError(f"{log.path}: needs omega, and acc or v, to tell what the joints gave")
+        raise DataError(f"{log.path}: needs omega, and acc or v, for the efforts of the joints")
     return rate
 
 

@@ -141,7 +141,9 @@ class _Fit:
             "rest": spring.stiffness.mean(0),
         }
         if bool((effort <= 0.0).any()):
-            raise DataError("a joint does not move at all as declared: nothing can be found of it")
+            raise DataError(
+                "a joint does not move under its declared law, so it cannot be identified; check its spring"
+            )
         return np.array([MATERIAL * float(effort[k] / sizes[name][k].clamp_min(1e-12)) for k, name in self.owners])
 
     def linear(self, numbers: Array, thrust: float, unit: Array) -> tuple[Array, Array]:

@@ -74,8 +74,8 @@ def ride_of(robot: RobotCfg, log: FlightLog, *, bandwidth: float) -> Ride:
     """
     if fluids := [name for name in robot.effects if isinstance(EFFECTS.get(name), LinkFluidEffect)]:
         raise ConfigError(
-            f"identify joints: {fluids[0]} is left out where no angles of joints are logged. Log them (columns joint_NAME), or "
-            "leave the effect out"
+            f"identify joints: {fluids[0]} cannot be simulated without logged joint angles. Log them (columns joint_NAME), or "
+            "remove the effect"
         )
     rate = checked_rate(log, bandwidth)
     assert log.ang_vel is not None
@@ -182,7 +182,7 @@ class Swing:
             here = there
         whole = torch.stack(felt).unflatten(1, (sets, pieces)).numpy()  # (rows of a piece, B, pieces, 6)
         if not np.isfinite(whole).all():
-            raise DataError("joints of these numbers do not come to rest: check the declared springs")
+            raise DataError("joints with these parameters do not settle; check the declared springs")
         parts, start = [], 0
         for ride, count in zip(self.rides, self._pieces, strict=True):
             own = np.moveaxis(whole[:, :, start : start + count], 2, 0).reshape(-1, sets, 6)

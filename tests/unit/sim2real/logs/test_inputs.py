@@ -42,7 +42,7 @@ def test_a_flight_that_turns_otherwise_than_declared_is_left_out_too(logs: list[
     write(table.rename(columns={"rotor_1": "rotor_2", "rotor_2": "rotor_1"}), logs[0])
     found = read_inputs(ROBOT, logs[:3], logs[3:], mapping=None, bandwidth=10.0)
     assert [one.name for one in found.train] == ["f1", "f2"]
-    assert "rotors in their order are rotor_2, rotor_1" in found.left_out[0].values["error"]
+    assert "the probable order is rotor_2, rotor_1" in found.left_out[0].values["error"]
 
 
 def test_a_run_that_has_no_flight_left_says_why(logs: list[Path]) -> None:

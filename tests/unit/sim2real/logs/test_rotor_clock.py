@@ -37,7 +37,7 @@ def climbs(folder: Path, late: float, *, rate: float, vigour: float = 0.1) -> Fl
 @pytest.mark.parametrize("rate", [100.0, 400.0])
 @pytest.mark.parametrize(("late", "words"), [(0.1, "lag the accelerometer by 100 ms"), (-0.15, "lead .* by 150 ms")])
 def test_a_delay_beyond_all_clocks_is_refused(tmp_path: Path, rate: float, late: float, words: str) -> None:
-    with pytest.raises(DataError, match=rf"rotor_1\.\.4 {words}, more than clocks are off \(50 ms\); move these"):
+    with pytest.raises(DataError, match=rf"rotor_1\.\.4 {words}, more than any clock offset \(50 ms\); correct the"):
         check_rotor_clock(climbs(tmp_path, late, rate=rate), ROBOT, 10.0)
 
 

@@ -121,7 +121,7 @@ def test_what_the_logs_do_not_tell_is_said() -> None:
     assert ceiling == Finding("logs_lack", "ceiling_effect", {"flights": "b", "need": "ceiling_height"})
     assert other == Finding("logs_lack", "downwash", {"flights": "all logs", "need": "other_position"})
     declares = replace(NEAR, effects={"ceiling_effect": {"k": 1.0}})
-    message = "declares ceiling_effect, but the flights do not tell it: b: without the height"
+    message = "declares ceiling_effect, which these flights cannot show: b: without the height"
     with pytest.raises(DataError, match=message):
         replay_flights(declares, flights, bandwidth=10.0)
     with pytest.raises(DataError, match=message):
@@ -138,7 +138,7 @@ def test_heights_are_read_as_one_number_a_flight(tmp_path: Path) -> None:
     down = LogMapping(**{**vars(find_mapping("aerial_gym")), "world_frame": "ned"})
     log = read_flight_log(stated, mapping=down)
     assert (log.ground_height, log.ceiling_height) == (0.5, -12.5)
-    with pytest.raises(DataError, match=r"ceiling_height runs from 0 to 2\.99 m; a flight has one number"):
+    with pytest.raises(DataError, match=r"ceiling_height varies from 0 to 2\.99 m, must be constant"):
         read_flight_log(write(table.assign(ceiling_z=table["t"]), tmp_path / "c.csv"))
 
 

@@ -34,5 +34,5 @@ def test_free_joints_under_water_gave_no_effort() -> None:
 
 def test_joints_that_nobody_logged_are_not_told_under_water() -> None:
     robot = replace(under_water(crooked(), IN_WATER), effects_source="test")
-    with pytest.raises(ConfigError, match="identify joints: link_added_mass is left out where no angles.* Log them"):
+    with pytest.raises(ConfigError, match="identify joints: link_added_mass cannot be simulated without .* Log them"):
         ride_of(robot, None, bandwidth=15.0)  # type: ignore[arg-type]

@@ -113,10 +113,10 @@ def turned(table: pd.DataFrame, angle: float) -> pd.DataFrame:
         (lambda t: ned(frd(t)), r"gravity has the wrong sign.*give body_frame: frd and world_frame: ned in a mapping"),
         (
             lambda t: ned(frd(t)).drop(columns=V),
-            r"if its signs are turned, turn them; if body and world .*body_frame: frd and world_frame: ned",
+            r"if only its signs are inverted, invert them; if body and world .*body_frame: frd and world_frame: ned",
         ),
         (lambda t: ned(t), r"world axes are north, east, down: give world_frame: ned"),
-        (lambda t: replaced(t, ACC, -t[ACC]), r"gravity has the wrong sign: .*turn the signs of acc"),
+        (lambda t: replaced(t, ACC, -t[ACC]), r"gravity has the wrong sign: .*invert the signs of acc"),
         (
             lambda t: replaced(t, ACC, body_to_world(t).apply(t[ACC].to_numpy(copy=True))).drop(columns=[*V, *P]),
             r"acc_x.*agrees with thrust in world axes, not in body axes",

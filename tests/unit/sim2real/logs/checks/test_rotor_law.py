@@ -36,7 +36,7 @@ def test_a_pulse_width_a_duty_cycle_and_a_thrust_are_no_speeds(table: pd.DataFra
         for names in (ROTORS, COMMANDS):
             wrong = table.drop(columns=ROTORS)
             wrong[names] = values.to_numpy()
-            match = rf"the force felt grows .* times as steeply with {names[0]}\.\.4 .* pulse width, a duty cycle or a thrust"
+            match = rf"measured force rises .* times as steeply with {names[0]}\.\.4 .* pulse width, a duty cycle or a thrust"
             with pytest.raises(DataError, match=match):
                 load(wrong, tmp_path)
 

@@ -57,7 +57,5 @@ def test_columns_in_another_order_are_told_by_what_they_turn(
     """Column k holds the rotor order[k]; the message lists the columns in the order of the robot file."""
     mixed = table.assign(**{names[k]: table[names[rotor]] for k, rotor in enumerate(order)})
     right = ", ".join(names[order.index(rotor)] for rotor in range(4))
-    with pytest.raises(
-        DataError, match=rf"otherwise than the robot file declares .* in their order are {right}: reorder"
-    ):
+    with pytest.raises(DataError, match=rf"in the declared order predict .* the probable order is {right}: reorder"):
         loaded(mixed, tmp_path)
