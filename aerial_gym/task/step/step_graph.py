@@ -52,7 +52,7 @@ def check_untraced(parts: Sequence[NamedRows], values: Mapping[str, Tensor]) -> 
         rows()
     asked: dict[str, Callable[[], object]] = {}
     for rows in parts:
-        asked |= {term.label: partial(term.of, values) for term in rows.apart}
+        asked |= {term.label: partial(term.evaluate, values) for term in rows.apart}
         if rows.reason is not None:
             asked[rows.what] = rows.plainly
     check_terms(asked)
