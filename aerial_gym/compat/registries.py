@@ -206,10 +206,10 @@ class ControllerRegistry(_Names):
         classes = self._classes(name)
         return name if classes is None else controllers.controller_of(*classes)
 
-    def drawn_gains(self, name: str) -> Randomize:
+    def gain_randomization(self, name: str) -> Randomize:
         """Return the random gains of a controller, by the names of ``randomize:``."""
         classes = self._classes(name)
-        return {} if classes is None else controllers.drawn_gains(*classes)
+        return {} if classes is None else controllers.gain_randomization(*classes)
 
     def _classes(self, name: str) -> tuple[Any, Any] | None:
         """Return law and gains; None for a controller of this package with the robot's gains."""

@@ -72,7 +72,7 @@ class SimBuilder:
             env_name=env_config_registry.resolve(env_name),
             robot_name=robot_registry.resolve(robot_name),
             controller_name=controller_registry.resolve(controller_name),
-            randomize={**controller_registry.drawn_gains(controller_name), **(randomize or {})},
+            randomize={**controller_registry.gain_randomization(controller_name), **(randomize or {})},
             num_envs=default_envs if num_envs is None else num_envs,
             device=device,
             seed=torch.initial_seed() % 2**31 if seed is None else seed,

@@ -254,7 +254,7 @@ class JointsCfg:
             f"{consequence} (docs/guides/articulated_vehicles.md)"
         )
 
-    def link_of(self, name: str) -> int:
+    def link_number(self, name: str) -> int:
         """Return the number of a link: 0 of the base, k + 1 of joint k.
 
         Raises:
@@ -265,6 +265,6 @@ class JointsCfg:
         return self.link_names.index(name)
 
     @property
-    def driven(self) -> tuple[int, ...]:
+    def drive_joints(self) -> tuple[int, ...]:
         """Numbers of the joints with a drive, in the order of their commands."""
         return tuple(k for k, joint in enumerate(self.layout) if joint.drive is not None)

@@ -124,7 +124,7 @@ def _between_links(
     return BetweenLinks(
         robot.collision,
         names=robot.link_names,
-        parents=[joints.link_of(joint.parent) for joint in joints.layout],
+        parents=[joints.link_number(joint.parent) for joint in joints.layout],
         pivots=links.pivots,
         state=links.state,
         distance_out=gtd.declare(TensorSpec(

@@ -52,9 +52,9 @@ class GuardedTensor(Tensor):
         if all(each.alias_info is None for each in func._schema.returns):
             return result
         source = next((each for each in _guarded(args, kwargs)), None)
-        return result if source is None else tree_map(source._beside, result)
+        return result if source is None else tree_map(source._wrap_like, result)
 
-    def _beside(self, made: Any) -> Any:
+    def _wrap_like(self, made: Any) -> Any:
         return GuardedTensor.wrap(made, self._before, self._after) if isinstance(made, Tensor) else made
 
     def numpy(self, *, force: bool = False) -> np.ndarray:

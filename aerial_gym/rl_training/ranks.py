@@ -70,13 +70,13 @@ class Ranks:
                 for tensor in tensors:
                     torch.distributed.broadcast(tensor, 0)
 
-    def told(self, value: float) -> float:
+    def broadcast_number(self, value: float) -> float:
         """Return a number from rank 0 in all processes."""
         number = torch.tensor(value, dtype=torch.float64)
         self.share_([number])
         return float(number)
 
-    def told_of(self, value: Value) -> Value:
+    def broadcast(self, value: Value) -> Value:
         """Return an object from rank 0 in all processes."""
         if not self.joined:
             return value
@@ -89,7 +89,7 @@ class Ranks:
         """Return whether any process says so."""
         return bool(self.sum_(torch.tensor(float(flag))) > 0.0)
 
-    def of_others(self, value: Mapping[str, object]) -> list[Mapping[str, Any]]:
+    def gather(self, value: Mapping[str, object]) -> list[Mapping[str, Any]]:
         """Return the values of the other processes by rank, in rank 0; an empty list elsewhere."""
         if self.size == 1:
             return []

@@ -154,7 +154,7 @@ def _train(
     watch: bool,
     wandb: str | None,
 ) -> TrainingResult:
-    resumed = ranks.told_of(folder.newest_whole() if resume and ranks.leads else None)
+    resumed = ranks.broadcast(folder.newest_whole() if resume and ranks.leads else None)
     if resume and resumed is None and ranks.leads:
         _log.warning(
             "%s: was ended before its first checkpoint; the training starts anew in the same folder", folder.path

@@ -106,13 +106,13 @@ class Randomized:
         """K."""
 
     @property
-    def drawn_effects(self) -> list[int]:
+    def random_effects(self) -> list[int]:
         """Indices of the effects with random parameters."""
         names = {each.name.split(".")[1] for each in self.drawn if each.name.startswith("effects.")}
         return [i for i, effect in enumerate(self._effects) if effect.name in names]
 
     @property
-    def drawn_gains(self) -> list[str]:
+    def random_gains(self) -> list[str]:
         """Names of the random gains."""
         return [each.name.split(".")[1] for each in self.drawn if each.name.startswith("gains.")]
 

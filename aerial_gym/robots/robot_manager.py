@@ -116,7 +116,7 @@ class RobotManager:
         self._declare_model()
         self._randomized = self._make_randomized(randomize or {})
         self._stale = False
-        drawn = [] if self._randomized is None else self._randomized.drawn_effects
+        drawn = [] if self._randomized is None else self._randomized.random_effects
         guard_parameters(gtd, self._effects, drawn, notice=self._note_write)
         self._pushing = Pushing(robot, gtd, around)
         self._load = hung_load(gtd, self._effects, self.tensors.state)
@@ -211,7 +211,7 @@ class RobotManager:
         randomized = Randomized(cfg, self.cfg, self.declared, self._effects, gains)
         if self.articulation is not None:
             check_drawn_bodies(randomized, self.articulation, [params for _, params in self._effects])
-        if randomized.drawn_gains:
+        if randomized.random_gains:
             self.controller.own_gains()  # pyright: ignore[reportAttributeAccessIssue] - every controller with gains has it
         names = ", ".join(f"{each.name} ({each.cfg.how})" for each in randomized.drawn)
         self._values = self._gtd.declare(TensorSpec(
@@ -278,15 +278,15 @@ class RobotManager:
 
     @property
     def _draws_imu_errors(self) -> bool:
-        drawn = [] if self._randomized is None else self._randomized.drawn_effects
+        drawn = [] if self._randomized is None else self._randomized.random_effects
         return any(isinstance(self._effects[i][0], ImuEffect) for i in drawn)
 
     def _rows(self, model: Model, followed: Followed) -> list[Tensor]:
         """Return allocation, parameters of effects, gains and errors of inertial sensors that follow from draws."""
         found = [] if self._allocation is None else [*self._allocation.rows_for(model.vehicle).values()]
         if self._randomized is not None:
-            found += [followed.params[i] for i in self._randomized.drawn_effects]
-            found += [followed.gains[name] for name in self._randomized.drawn_gains]
+            found += [followed.params[i] for i in self._randomized.random_effects]
+            found += [followed.gains[name] for name in self._randomized.random_gains]
         if self._draws_imu_errors:
             found.append(imu_errors(model.effects[ImuEffect]))
         return found
@@ -295,8 +295,8 @@ class RobotManager:
         """Return the tensors that receive the results of ``_rows``, in that order."""
         found = [] if self._allocation is None else [*self._allocation.rows.values()]
         if self._randomized is not None:
-            found += [self._effects[i][1] for i in self._randomized.drawn_effects]
-            found += [self.controller.gains_by_name[name] for name in self._randomized.drawn_gains]
+            found += [self._effects[i][1] for i in self._randomized.random_effects]
+            found += [self.controller.gains_by_name[name] for name in self._randomized.random_gains]
         if self.imu_errors is not None and self._draws_imu_errors:
             found.append(self.imu_errors)
         return found
@@ -343,7 +343,7 @@ class RobotManager:
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return the tensors of a saved state beside the GTD, by name."""
-        drawn = [] if self._randomized is None else self._randomized.drawn_gains
+        drawn = [] if self._randomized is None else self._randomized.random_gains
         kept = {name: self.controller.gains_by_name[name] for name in drawn}
         rows = {} if self._allocation is None else self._allocation.rows
         found = {"com": self._com} | below("gains", kept) | below("allocation", rows)

@@ -108,16 +108,16 @@ class Curriculum:
         self.level.fill_(state["level"])
         self._finished.fill_(state["finished"])
         self._succeeded.fill_(state["succeeded"])
-        difficulty, count = self._following(self.level)
+        difficulty, count = self._level_values(self.level)
         self.difficulty.copy_(difficulty.squeeze(0))
         self._assets.take_num_obstacles(count)
 
     def _decision(self, level: Tensor, finished: Tensor, succeeded: Tensor) -> tuple[Tensor, ...]:
         """Return level and counts after the decision, the difficulty and the number of obstacles, each (1,)."""
         level, finished, succeeded = next_level(level, finished, succeeded, self.cfg)
-        return level, finished, succeeded, *self._following(level)
+        return level, finished, succeeded, *self._level_values(level)
 
-    def _following(self, level: Tensor) -> tuple[Tensor, Tensor]:
+    def _level_values(self, level: Tensor) -> tuple[Tensor, Tensor]:
         """Return the difficulty and the number of obstacles, each (1,)."""
         span = self.cfg.max_level - self.cfg.min_level
         return (level - self.cfg.min_level) / span, level - self._num_kept

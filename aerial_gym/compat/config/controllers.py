@@ -36,7 +36,7 @@ class GainRanges:
             source=source,
         )
 
-    def drawn(self) -> Randomize:
+    def randomization(self) -> Randomize:
         """Return the random gains, by the names of ``randomize:``."""
         if not self.randomize:
             return {}
@@ -149,10 +149,10 @@ def controller_of(law: Any, config: Any) -> ControllerCfg:
     return replace(ours, gains=ranges.explicit(f"class {config.__name__}"), if_unstable="warn")  # as it flies there
 
 
-def drawn_gains(law: Any, config: Any) -> Randomize:
+def gain_randomization(law: Any, config: Any) -> Randomize:
     """Return the random gains of a controller class with its configuration class."""
     ranges = _ranges_of(law, config)
-    return {} if ranges is None else ranges.drawn()
+    return {} if ranges is None else ranges.randomization()
 
 
 def _ranges_of(law: Any, config: Any) -> GainRanges | None:

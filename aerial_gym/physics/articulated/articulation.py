@@ -167,7 +167,7 @@ def articulation_of(robot: RobotCfg, *, like: Tensor) -> Articulation | None:
     origins = [(0.0, 0.0, 0.0), *(joint.position for joint in cfg.layout)]
     joints = []
     for joint in cfg.layout:
-        parent = cfg.link_of(joint.parent)
+        parent = cfg.link_number(joint.parent)
         joints.append(_joint(joint, parent, origins[parent]))
 
     def column(part: str, name: str, default: float) -> Tensor:
@@ -190,7 +190,7 @@ def articulation_of(robot: RobotCfg, *, like: Tensor) -> Articulation | None:
         link_mass=like.new_tensor([0.0 if link is None else link.mass for link in links]),
         link_com=like.new_tensor([j.position if j.link is None else j.link.com for j in cfg.layout]),
         link_inertia=like.new_tensor([nothing if link is None else link.inertia for link in links]),
-        rotor_links=tuple(cfg.link_of(mount.link) for mount in robot.mounts.layout),
+        rotor_links=tuple(cfg.link_number(mount.link) for mount in robot.mounts.layout),
         reference=like.new_tensor([joint.reference for joint in cfg.layout]),
         spring=Spring(
             **{n: column("spring", n, 0.0) for n in ("stiffness", "quadratic", "damping", "rest", "preload")}
@@ -206,7 +206,7 @@ def articulation_of(robot: RobotCfg, *, like: Tensor) -> Articulation | None:
         creep_stiffness=creep("stiffness", 0.0),
         creep_time=creep("time", 1.0),
         drive_gains=like.new_tensor([[d.stiffness, d.damping, d.limit] for d in drives]).reshape(-1, 3),
-        driven=cfg.driven,
+        driven=cfg.drive_joints,
         modes=tuple(drive.mode for drive in drives),
         command_low=like.new_tensor([drive.command_range[0] for drive in drives]),
         command_high=like.new_tensor([drive.command_range[1] for drive in drives]),

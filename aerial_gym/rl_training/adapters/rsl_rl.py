@@ -32,7 +32,7 @@ class RslRlEnv(VecEnv):
         self.max_episode_length = task.cfg.episode_len_steps
         observation, _ = task.reset()
         task.stagger()
-        self._seen = self._kept(observation)
+        self._seen = self._clone_observation(observation)
 
     @property
     def episode_length_buf(self) -> Tensor:
@@ -50,10 +50,10 @@ class RslRlEnv(VecEnv):
     def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict[str, Any]]:
         """Advance by actions (E, U); return observations, rewards (E,), whether episodes ended (E,), and extras."""
         observation, reward, terminated, truncated, info = self._task.step(actions)
-        self._seen = self._kept(observation)
+        self._seen = self._clone_observation(observation)
         return self._seen, reward.clone(), terminated | truncated, {"time_outs": info["time_outs"].clone()}
 
-    def _kept(self, observation: dict[str, Tensor]) -> TensorDict:
+    def _clone_observation(self, observation: dict[str, Tensor]) -> TensorDict:
         """Return copies, as the next step on a GPU rewrites the tensors that rsl_rl keeps."""
         kept = {key: value.clone() for key, value in observation.items()}
         return TensorDict(kept, batch_size=torch.Size([self.num_envs]), device=self.device)

@@ -49,16 +49,16 @@ class SkrlEnv(Wrapper):
         """Restart all episodes; return observations (E, O) and info."""
         observation, info = self._task.reset()
         self._task.stagger()
-        return self._seen(observation), dict(info)
+        return self._clone_observation(observation), dict(info)
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
         """Advance by actions (E, U); return observations (E, O), rewards, terminated and truncated (E, 1), info."""
         observation, reward, terminated, truncated, info = self._task.step(actions.detach())
         numbers = (value.view(-1, 1).clone() for value in (reward, terminated, truncated))
         reward, terminated, truncated = numbers
-        return self._seen(observation), reward, terminated, truncated, info
+        return self._clone_observation(observation), reward, terminated, truncated, info
 
-    def _seen(self, observation: dict[str, Tensor]) -> Tensor:
+    def _clone_observation(self, observation: dict[str, Tensor]) -> Tensor:
         """Return copies, as the next step on a GPU rewrites the tensors that skrl keeps."""
         self._state = None if self._state_key is None else observation[self._state_key].clone()
         return observation["observations"].clone()

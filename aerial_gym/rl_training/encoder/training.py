@@ -204,7 +204,7 @@ def _learn(
                 )
             curve.append([fit.epochs, loss, errors_of(_told(fit, test), test.target, largest=largest).rms_m])
             if time.perf_counter() - saved >= SAVE_EVERY_S or fit.epochs >= cfg.epochs:
-                with interruption.held():
+                with interruption.defer():
                     _save(fit, folder, curve)
                 saved = time.perf_counter()
     return fit.epochs < cfg.epochs or interruption.asked

@@ -50,9 +50,9 @@ class Repeated:
                 self._iterate()
             torch.cuda.current_stream(self._device).wait_stream(self._stream)
         else:
-            self._recorded().replay()
+            self._record().replay()
 
-    def _recorded(self) -> torch.cuda.CUDAGraph:
+    def _record(self) -> torch.cuda.CUDAGraph:
         """Return the graph.
 
         Raises:

@@ -75,14 +75,14 @@ class Learner:
         """Return the tensors of a saved state besides network and task; they keep their memory."""
         return {"begins": self._begins, "sums": self.sums} | below("observation", self._observation)
 
-    def learned(self) -> list[Tensor]:
+    def common_tensors(self) -> list[Tensor]:
         """Return the tensors that all processes share."""
         return [*self.network.parameters(), *self.network.buffers(), self.sums]
 
     @torch.no_grad()
     def join(self) -> None:
         """Copy the shared tensors from rank 0."""
-        self.ranks.share_(self.learned())
+        self.ranks.share_(self.common_tensors())
 
 
 def last_observations(info: Mapping[str, Tensor], keys: Iterable[str]) -> dict[str, Tensor]:

@@ -202,7 +202,7 @@ class Ppo(Learner):
         value = values[:-1]
         if ppo.normalize_value:
             network.scale.update((advantage + value).flatten(), self.ranks)
-        self._memory.copy_(network.joined(flown.acting, remembered[-2]))
+        self._memory.copy_(network.join_memory(flown.acting, remembered[-2]))
         self._count(ended, flown.episode_return, flown.episode_length)
         var, mean = self.ranks.var_mean(advantage.flatten())
         return Samples(
@@ -268,6 +268,6 @@ class Ppo(Learner):
         own = {"memory": self._memory, "rate": self._rate}
         return super().state_tensors() | own | below("adam", self._adam.state_tensors())
 
-    def learned(self) -> list[Tensor]:
+    def common_tensors(self) -> list[Tensor]:
         """Return the tensors that all processes share."""
-        return [*super().learned(), *self._adam.state_tensors().values(), self._rate]
+        return [*super().common_tensors(), *self._adam.state_tensors().values(), self._rate]

@@ -113,6 +113,6 @@ class ActorCritic(nn.Module):
         features, _ = body(flat, memory.flatten(0, 1))
         return self.scale.inverse(self.value_head(features).squeeze(-1)).unflatten(0, memory.shape[:2])
 
-    def joined(self, acting: Tensor, judging: Tensor) -> Tensor:
+    def join_memory(self, acting: Tensor, judging: Tensor) -> Tensor:
         """Return the joint memory (E, M) of policy and critic."""
         return acting if self.own_body is None else torch.cat((acting, judging), dim=-1)

@@ -21,7 +21,7 @@ class Interruption:
         self.asked, self._waits, self._ranks = False, False, ranks
 
     @contextmanager
-    def held(self) -> Iterator[None]:
+    def defer(self) -> Iterator[None]:
         """Defer an interruption until the block has ended, then raise it."""
         self._waits = True
         try:

@@ -50,7 +50,7 @@ class Keeper:
     @property
     def due(self) -> bool:
         """Whether it is time to save, by the clock of rank 0."""
-        return self._ranks.told(time.perf_counter() - self._saved_at) >= self._interval
+        return self._ranks.broadcast_number(time.perf_counter() - self._saved_at) >= self._interval
 
     def save(self, state: Mapping[str, object], *, env_steps: int, own: Sequence[str] = ()) -> None:
         """Write a checkpoint of a trainer's state after ``env_steps`` of all sessions.
@@ -66,7 +66,7 @@ class Keeper:
         """
         self._check_weights(state)
         run, first = self._run_state(env_steps), env_steps == 0
-        others = self._ranks.of_others({name: state[name] for name in own} | {"task_random": run["task_random"]})
+        others = self._ranks.gather({name: state[name] for name in own} | {"task_random": run["task_random"]})
         if self._ranks.leads:
             self._folder.keep_checkpoint(env_steps, {**state, "run": run, "others": others})
         self._saved_at = time.perf_counter()

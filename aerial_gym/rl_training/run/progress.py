@@ -101,7 +101,9 @@ class Progress:
             self._first_steps, self._first_time = report.env_steps, now
         self.env_steps, self.last = report.env_steps, report
         self.steps_per_s = (report.env_steps - self._first_steps) / max(now - self._first_time, 1e-9)
-        self.time_share = 0.0 if self._cfg.max_time_s is None else self._ranks.told(now / self._cfg.max_time_s)
+        self.time_share = (
+            0.0 if self._cfg.max_time_s is None else self._ranks.broadcast_number(now / self._cfg.max_time_s)
+        )
         share = self.share = max(self.time_share, report.env_steps / (self._cfg.max_env_steps or 1e18))
         self._show(report, share, now)
         if now - self._last_line >= REPORT_INTERVAL_S or share >= 1.0:

@@ -62,7 +62,7 @@ def repeat(
         keeper.save(training.state(), env_steps=0, own=OWN_STATE)
     try:
         while True:
-            with interruption.held():
+            with interruption.defer():
                 report = training.advance()
             scalars.add(lambda: training.known | asdict(report) | task.episode_means(), training.env_steps)  # noqa: B023
             if progress.update(report):

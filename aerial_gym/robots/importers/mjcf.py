@@ -39,7 +39,7 @@ def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = 
     if joints:
         reader.find_joints()
     actuators = [Actuator(mujoco, model, i, where) for i in range(model.nu)]
-    own = [one for one in actuators if one.works and one.may_push and reader.pushes_vehicle(one)]
+    own = [one for one in actuators if one.is_enabled and one.may_push and reader.pushes_vehicle(one)]
     pushing = own if take_actuators else []
     for one in pushing:
         one.check()
@@ -68,7 +68,7 @@ def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = 
                 [one.site for one in pushing], [] if joints else [j for j in reader.joints() if j not in tilting]
             ),
         ),
-        assumed=tuple(by_kind((what, one.name) for one in pushing for what in one.assumed())),
+        assumed=tuple(by_kind((what, one.name) for one in pushing for what in one.assumptions())),
         losses=tuple(reader.losses(tilting)),
     )
 

@@ -56,7 +56,7 @@ class Actuator:
         return self._is("trntype", "mjtTrn", "mjTRN_SITE")
 
     @property
-    def works(self) -> bool:
+    def is_enabled(self) -> bool:
         """Whether the file leaves it switched on."""
         option, bits = self.model.opt, self.mujoco.mjtDisableBit
         group = int(self.model.actuator_group[self.index])
@@ -134,7 +134,7 @@ class Actuator:
         if m.actuator_armature[i] or m.actuator_damping[i]:
             yield "armature and damping of actuators"
 
-    def assumed(self) -> Iterator[str]:
+    def assumptions(self) -> Iterator[str]:
         """Yield the attributes of this actuator that the import changes."""
         force, torque = self._gear()
         beside = float(np.linalg.norm(np.cross(force, torque)) / (force @ force))

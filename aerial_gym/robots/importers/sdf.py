@@ -168,7 +168,7 @@ class _Reader:
 
     def __post_init__(self) -> None:
         self._unread: list[str] = []
-        self._ends = {joint: self.tree.ends(joint) for joint in self.tree.joints}
+        self._ends = {joint: self.tree.joint_ends(joint) for joint in self.tree.joints}
         self._ways = self._joints_to_links()
         self._tilting: dict[str, list[str]] = {}
         for rotor in self.rotors:

@@ -152,7 +152,7 @@ class SdfTree:
         base, pose = self._own(element, link, self.scopes[link], link)
         return self.pose(base) @ pose
 
-    def link_of(self, name: str) -> str | None:
+    def find_link(self, name: str) -> str | None:
         """Return the link of a joint's parent or child, which may be a link, a frame or a model; None for the world."""
         seen: list[str] = []
         while name not in self.links:
@@ -162,16 +162,16 @@ class SdfTree:
             name = self._attached[name]
         return name
 
-    def ends(self, joint: str) -> tuple[str | None, str | None]:
+    def joint_ends(self, joint: str) -> tuple[str | None, str | None]:
         """Return parent and child link of a joint; None for the world."""
         element, scope = self.joints[joint], self.scopes[joint]
-        parent, child = (self.link_of(self.scoped(element.findtext(tag), scope)) for tag in ("parent", "child"))
+        parent, child = (self.find_link(self.scoped(element.findtext(tag), scope)) for tag in ("parent", "child"))
         return parent, child
 
     @property
     def root_link(self) -> str:
         """Name of the link whose frame becomes the body's: the canonical one of the outermost model."""
-        name = self.link_of(MODEL)
+        name = self.find_link(MODEL)
         if name is None:
             raise ConfigError(f"{self.where}: no link has a name, or the canonical link is not there")
         return name

@@ -125,7 +125,7 @@ def _place_links(
 
 def _table(cfg: JointsCfg, place: wp.Device) -> _Joints:
     table = _Joints()
-    table.parent = wp.array([cfg.link_of(joint.parent) for joint in cfg.layout], dtype=wp.int32, device=place)
+    table.parent = wp.array([cfg.link_number(joint.parent) for joint in cfg.layout], dtype=wp.int32, device=place)
     table.slides = wp.array([joint.kind == "prismatic" for joint in cfg.layout], dtype=wp.bool, device=place)
     table.axis = wp.array([joint.axis for joint in cfg.layout], dtype=wp.vec3, device=place)
     table.position = wp.array([joint.position for joint in cfg.layout], dtype=wp.vec3, device=place)

@@ -46,7 +46,7 @@ def shapes_on_links(
     solids = None if scene is None or not scene.num_instances else _solids_of(scene, moves=moves)
     pairs: list[tuple[int, int]] = []
     if cfg.between_links:
-        parents = [joints.link_of(joint.parent) for joint in joints.layout]
+        parents = [joints.link_number(joint.parent) for joint in joints.layout]
         pairs = pairs_apart(cfg, names=robot.link_names, parents=parents, device=torch.device("cpu"))
     elif solids is None:
         shapes = []

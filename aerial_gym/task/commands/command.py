@@ -24,7 +24,7 @@ class Command:
     """Under which it is registered."""
 
     reads: tuple[str, ...] = ()
-    """Inputs of ``at`` and ``after`` besides ``sim_steps`` and ``begun``; its own buffers included."""
+    """Inputs of ``current_values`` and ``next_values`` besides ``sim_steps`` and ``begun``; its own buffers included."""
 
     goal = False
     """Whether obstacles that are drawn keep their distance from the target of a new episode."""
@@ -33,7 +33,7 @@ class Command:
         """Take the task's tensors, and the simulation for bounds and randomness."""
         self.values, self.env = values, env
 
-    def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def current_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the buffers that depend on this instant, after the physics and before rewards and ends.
 
         It must not read its own results, as it may be called more than once.
@@ -41,7 +41,7 @@ class Command:
         del values
         return {}
 
-    def after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def next_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the buffers for the next step; ``begun`` marks environments whose episode has just begun."""
         del values
         return {}

@@ -126,7 +126,7 @@ class Gates(Command):
         """Place the robots of new episodes that begin behind a gate."""
         self._practice.place(mask)
 
-    def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def current_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the crossing flags of the gate for the motion of this step."""
         x, y = values["target_direction"].unbind(-1)
 
@@ -139,7 +139,7 @@ class Gates(Command):
         last = (values["target_index"] == len(self._gates) - 1) & (not self._loop)
         return {"gate_passed": passed, "gate_missed": crossed & ~passed, "sequence_done": passed & last}
 
-    def after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def next_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the gate of the next step."""
         index = next_gate(values, len(self._gates), loop=self._loop)
         gate, following = chosen(index, self._gates), chosen(index, self._following)

@@ -96,13 +96,13 @@ class PointSequence(Command):
         values.declare("sequence_done", dtype=torch.bool, meaning="it came to the last one in this step")
         self.reads = (TARGET, "robot_position", "target_index", "target_reached")
 
-    def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def current_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the flags for a reached point and for the end of the sequence."""
         reached = (values[TARGET] - values["robot_position"]).norm(dim=-1) < self._radius
         last = (values["target_index"] == len(self._points) - 1) & (not self._loop)
         return {"target_reached": reached, "sequence_done": reached & last}
 
-    def after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def next_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the point of the next step."""
         index = next_index(values, values["target_reached"], len(self._points), loop=self._loop)
         return {"target_index": index, TARGET: chosen(index, self._points)}
@@ -164,14 +164,14 @@ class OnAsset(Command):
         self._target(moving=True)
         self.reads = (STATES,)
 
-    def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def current_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return place and velocity of the target at this instant."""
         state = values[STATES][:, self._row]
         return {TARGET: state[:, :3] + state.new_tensor(self._offset), "target_velocity": state[:, 7:10]}
 
-    def after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return ``at`` again, as a reset moves the asset."""
-        return self.at(values)
+    def next_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return ``current_values`` again, as a reset moves the asset."""
+        return self.current_values(values)
 
 
 LOAD_PARAMS = "effect_slung_payload"
@@ -194,14 +194,14 @@ class LoadPoint(Command):
         self._target()
         self.reads = ("load_target", LOAD_PARAMS)
 
-    def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def current_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the robot's position that holds the load at rest at its target."""
         x, y, z = values["load_target"].unbind(-1)
         return {TARGET: torch.stack((x, y, z + values[LOAD_PARAMS][:, 1]), dim=-1)}
 
-    def after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return ``at`` again, as a reset draws target and link length."""
-        return self.at(values)
+    def next_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return ``current_values`` again, as a reset draws target and link length."""
+        return self.current_values(values)
 
     def draw(self, mask: Tensor) -> None:
         """Draw new points."""

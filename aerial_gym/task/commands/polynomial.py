@@ -137,7 +137,7 @@ class Polynomial(Command):
         self._draws = UniformDraws(self._points, ranges, purpose=Purpose.COMMAND, random=env.random)
         self.reads = ("track_points", "track_time")
 
-    def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def current_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return place, velocity and acceleration of the target at this instant."""
         points, time = values["track_points"], values["track_time"]
         last = self._num_points - 1
@@ -160,9 +160,9 @@ class Polynomial(Command):
             weights = weights * u + coefficients[:, j * width : (j + 1) * width]
         return weights
 
-    def after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return ``at`` again, as a reset draws another track."""
-        return self.at(values)
+    def next_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return ``current_values`` again, as a reset draws another track."""
+        return self.current_values(values)
 
     def draw(self, mask: Tensor) -> None:
         """Draw the tracks of new episodes, and find their times."""

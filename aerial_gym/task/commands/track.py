@@ -87,7 +87,7 @@ class TrackGates(Command):
         """Start training episodes from the next resets on."""
         self._practice.begin()
 
-    def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def current_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the crossing flags of the gate for the motion of this step."""
         before, now = (
             quat_rotate_inverse(values["target_orientation"], values[name] - values[TARGET])
@@ -97,7 +97,7 @@ class TrackGates(Command):
         last = values["target_index"] == self._count - 1
         return {"gate_passed": passed, "gate_missed": crossed & ~passed, "sequence_done": passed & last}
 
-    def after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def next_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the gate of the next step, and the flags of gates and poles seen so far."""
         index = next_gate(values, self._count, loop=False)
         position, orientation = (row_of(index, values[key]) for key in GATE_KEYS)

@@ -81,7 +81,7 @@ class Trajectory(Command):
         self._random_phase = random_phase
         self.reads = ("target_phase",)
 
-    def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def current_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return place and velocity of the target at this instant."""
         time = values["sim_steps"].float() * self._dt
         place, slope = self._curve(self._rate * time + values["target_phase"][:, 0])
@@ -89,9 +89,9 @@ class Trajectory(Command):
         velocity = [self._rate * s * x for s, x in zip(self._size, slope, strict=True)]
         return {TARGET: torch.stack(position, dim=-1), "target_velocity": torch.stack(velocity, dim=-1)}
 
-    def after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return ``at`` again, as a reset changes the time."""
-        return self.at(values)
+    def next_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return ``current_values`` again, as a reset changes the time."""
+        return self.current_values(values)
 
     def draw(self, mask: Tensor) -> None:
         """Draw where new episodes begin."""

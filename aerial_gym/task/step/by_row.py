@@ -96,7 +96,7 @@ class NamedRows:
         self._out = tuple(writes.values())
         self._kernels: DifferentiableRows | None = None
         self._tried = False
-        self._rows = ByRow(self._of, what)
+        self._rows = ByRow(self._evaluate, what)
         if graph is None and self._rows.prepare(list(self._reads.values())):
             self.apart = tuple(term for term in terms if not self._traces(term))
             self._names += tuple(term.label for term in self.apart)
@@ -111,7 +111,7 @@ class NamedRows:
         if self._graph is not None:
             return self._with_gradients(self._graph, changing)
         values = {**self._reads, **changing}
-        values |= {term.label: self._beside(term, values) for term in self.apart}
+        values |= {term.label: self._run_apart(term, values) for term in self.apart}
         results = self._rows(*(values[name] for name in self._names), out=self._out)
         return dict(zip(self._results, results, strict=True))
 
@@ -133,20 +133,20 @@ class NamedRows:
                 if all(tensor.dtype != torch.float64 for tensor in given):
                     ends = [name for name in self._writes if name not in self._keeps]
                     self._kernels = DifferentiableRows(
-                        self._of, given, has_gradient=lambda place: self._results[place] not in ends
+                        self._evaluate, given, has_gradient=lambda place: self._results[place] not in ends
                     )
             except UntraceableError as error:
                 _log.warning("gradients of %s run as many small torch operations: %s", self.what, error)
         if self._kernels is not None:
             return self._kernels(*given)
-        return on_whole_vectors(self._of, given[0].shape[0], given[0].device)(*given)
+        return on_whole_vectors(self._evaluate, given[0].shape[0], given[0].device)(*given)
 
     def plainly(self, **changing: Tensor) -> dict[str, Tensor]:
         """Return all results by torch operations, without writing outputs."""
         values = {**self._reads, **changing}
-        return self._function(values | {term.label: self._beside(term, values) for term in self.apart})
+        return self._function(values | {term.label: self._run_apart(term, values) for term in self.apart})
 
-    def _of(self, *tensors: Tensor) -> tuple[Tensor, ...]:
+    def _evaluate(self, *tensors: Tensor) -> tuple[Tensor, ...]:
         results = self._function(dict(zip(self._names, tensors, strict=True)))
         self._results = (*self._writes, *(name for name in results if name not in self._writes))
         return tuple(results[name].clone() for name in self._results)  # none is an input that is written
@@ -163,7 +163,7 @@ class NamedRows:
             return False
         return True
 
-    def _beside(self, term: BoundTerm, values: Mapping[str, Tensor]) -> Tensor:
+    def _run_apart(self, term: BoundTerm, values: Mapping[str, Tensor]) -> Tensor:
         tensors = [values[name] for name in term.reads]
         first = next(iter(self._reads.values()))
         whole = on_whole_vectors(

@@ -93,7 +93,7 @@ class Judge:
         names += (*command.reads, *(("difficulty",) if any(by_difficulty) else ()))
         names += (TARGET, "robot_position") if TARGET in values.own else ()
         reads = {name: values.find(name, "the task") for name in names} | values.read_by(*terms) | observer.reads
-        moved = {name: values[name] for name in command.at(values)}
+        moved = {name: values[name] for name in command.current_values(values)}
         gtd, own = values.gtd, values.own
         writes = {
             "non_finite": gtd["non_finite"],
@@ -117,7 +117,7 @@ class Judge:
         self._early: NamedRows | None = None
         if any(name in moved for term in self.rows.apart for name in term.reads):  # they run before the kernel
             given = {name: reads[name] for name in ("sim_steps", *command.reads)}
-            self._early = NamedRows(command.at, "the command", reads=given, writes=moved)
+            self._early = NamedRows(command.current_values, "the command", reads=given, writes=moved)
 
     def __call__(self) -> dict[str, Tensor]:
         """Judge every environment; return the results by name, (E, ...); launched, not waited for."""
@@ -158,7 +158,7 @@ class Judge:
         return found
 
     def _judgement(self, given: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        moved = self._command.at(given)
+        moved = self._command.current_values(given)
         values = {**given, **moved}
         finite, observed, _ = self._observer.observe(values, None)
         ends = self._ends(values)
@@ -249,13 +249,13 @@ class Judge:
         weighed: dict[str, Tensor] = {}
         for name, (_, cfg) in self._rewards.items():
             if not cfg.times:
-                weighed[name] = self._weighed(plain[name], cfg, values)
+                weighed[name] = self._apply_weight(plain[name], cfg, values)
         for name, (_, cfg) in self._rewards.items():
             if cfg.times:
                 factor = weighed[cfg.times[0]]
                 for other in cfg.times[1:]:
                     factor = factor + weighed[other]
-                weighed[name] = factor * self._weighed(plain[name], cfg, values)
+                weighed[name] = factor * self._apply_weight(plain[name], cfg, values)
         found = {name: weighed[name] for name in self._rewards}
         for name, when, end in (
             ("success", ends.success, self._cfg.success_reward),
@@ -273,7 +273,7 @@ class Judge:
         return torch.stack(columns, dim=-1), total
 
     @staticmethod
-    def _weighed(value: Tensor, cfg: RewardCfg, values: Mapping[str, Tensor]) -> Tensor:
+    def _apply_weight(value: Tensor, cfg: RewardCfg, values: Mapping[str, Tensor]) -> Tensor:
         if cfg.difficulty_weight:
             return (cfg.weight + cfg.difficulty_weight * values["difficulty"]) * value
         return value if cfg.weight == 1.0 else cfg.weight * value

@@ -134,7 +134,7 @@ class Observer:
         """Inputs of ``observe``."""
         begun = {"begun": values.find("begun", "the observation")}
         self._rows = NamedRows(
-            self._after,
+            self._step_results,
             "the observation",
             reads=begun | self.reads,
             writes=self.writes,
@@ -188,6 +188,6 @@ class Observer:
             shown[group] = torch.cat(parts, dim=-1)
         return torch.stack(flags, dim=-1).all(dim=-1), shown, lines
 
-    def _after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def _step_results(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         _, shown, lines = self.observe(values, values["begun"])
         return lines | shown

@@ -17,12 +17,12 @@ def make_memory(command: Command, values: Values) -> NamedRows | None:
     updates = dict(values.updates)
 
     def remembered(given: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        found = command.after(given)
+        found = command.next_values(given)
         for name, term in updates.items():
             found[name] = term.evaluate({**given, **found})
         return found
 
-    names = (*command.after(values), *updates)
+    names = (*command.next_values(values), *updates)
     if not names:
         return None
     reads = {name: values.find(name, "the command") for name in ("sim_steps", "begun", *command.reads)}

@@ -318,11 +318,11 @@ def test_gains_of_a_class_are_explicit_gains() -> None:
     assert cfg.gains is not None
     assert cfg.gains.attitude == pytest.approx((1.55, 1.65, 0.45))
     assert cfg.if_unstable == "warn"
-    drawn = controllers.drawn_gains(controllers.LAWS["LeeAttitudeController"], Quick)
+    drawn = controllers.gain_randomization(controllers.LAWS["LeeAttitudeController"], Quick)
     assert drawn["gains.attitude"] == RandomizeCfg(how="value", low=(1.5, 1.6, 0.4), high=(1.6, 1.7, 0.5))
     assert drawn["gains.position"] == RandomizeCfg(how="value", low=(2.0, 2.0, 1.0), high=(3.0, 3.0, 2.0))
     assert drawn.keys() == {"gains.position", "gains.velocity", "gains.attitude", "gains.rate"}
-    assert not controllers.drawn_gains(controllers.LAWS["NoControl"], Quick)
+    assert not controllers.gain_randomization(controllers.LAWS["NoControl"], Quick)
     with pytest.raises(ConfigError, match="controller class MyLaw: its own law cannot be run here"):
         controllers.controller_of(type("MyLaw", (), {}), Quick)
 

@@ -169,7 +169,7 @@ def test_gains_that_all_share_can_be_changed_in_place() -> None:
     try:
         controllers.control.K_vel_tensor_max = [9.0, 9.0, 9.0]  # pyright: ignore
         assert controller_registry.resolve("lee_velocity_control").gains.velocity == (5.5, 5.5, 5.5)
-        assert not controller_registry.drawn_gains("lee_velocity_control")
+        assert not controller_registry.gain_randomization("lee_velocity_control")
     finally:
         controllers.control.K_vel_tensor_max = before  # pyright: ignore
     assert controller_registry.resolve("lee_velocity_control") == "lee_velocity_control"

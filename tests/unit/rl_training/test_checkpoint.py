@@ -131,7 +131,7 @@ def test_a_signal_waits_for_what_cannot_be_left_half_done() -> None:
     with interruptible() as interruption:
 
         def iterate() -> None:
-            with interruption.held():
+            with interruption.defer():
                 signal.raise_signal(signal.SIGTERM)
                 done.append("the rest")
 

@@ -43,10 +43,10 @@ def test_a_single_process_keeps_what_it_gives() -> None:
     samples = torch.arange(6.0).view(3, 2)
     torch.testing.assert_close(ALONE.mean_(samples.clone()), samples)
     torch.testing.assert_close(ALONE.var_mean(samples), (torch.full((2,), 8 / 3), torch.tensor([2.0, 3.0])))
-    assert ALONE.told(2.0) == 2.0
+    assert ALONE.broadcast_number(2.0) == 2.0
     assert ALONE.any(True)
     assert not ALONE.any(False)
-    assert ALONE.of_others({"own": samples}) == []
+    assert ALONE.gather({"own": samples}) == []
 
 
 class Twins(Ranks):

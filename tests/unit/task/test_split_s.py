@@ -67,7 +67,7 @@ def test_the_way_through_a_gate_is_told_three_ways_alike() -> None:
     with task_registry.make_task(NAME, num_envs=7, device="cpu", seed=0) as task:
         task.reset()
         task.values.own["first_gate"].copy_(torch.arange(7))
-        found = task._command.after({**dict(task.values), "begun": torch.ones(7, dtype=torch.bool)})
+        found = task._command.next_values({**dict(task.values), "begun": torch.ones(7, dtype=torch.bool)})
     ahead = quat_rotate(found["target_orientation"], torch.tensor([1.0, 0.0, 0.0]).expand(7, 3))
     torch.testing.assert_close(ahead[:, :2], found["target_direction"], atol=1e-6, rtol=0.0)
     torch.testing.assert_close(ahead[:, 2], torch.zeros(7))

@@ -147,7 +147,7 @@ def test_memories_of_policy_and_critic_stand_apart(shared: bool) -> None:
     first = randn(3, sum(network.memory_sizes), seed=1)
     whole, remembered = network.values(prepared, first, begins)
     acting = network.actor.body.sequence(prepared, first[:, :6], begins)[1][2]
-    second = network.joined(acting, remembered[2])
+    second = network.join_memory(acting, remembered[2])
     half, _ = network.values({key: value[3:] for key, value in prepared.items()}, second, begins[3:])
     torch.testing.assert_close(half, whole[3:])
     one = network.next_values({key: value[3:4] for key, value in prepared.items()}, remembered[2:3])

@@ -226,7 +226,7 @@ def test_a_generator_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
             self._target()
             self._height = height
 
-        def after(self, values):  # type: ignore[no-untyped-def]
+        def next_values(self, values):  # type: ignore[no-untyped-def]
             position = values["robot_position"]
             return {"target_position": torch.cat((position[:, :2], position[:, 2:] + self._height), dim=-1)}
 
