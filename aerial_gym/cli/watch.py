@@ -39,7 +39,7 @@ class WatchCmd:
     """Print one JSON object a line in place of sentences."""
 
     def run(self) -> int:
-        """Print a line for each failure as soon as it is known; return the exit status."""
+        """Print a line for each failure at its detection; return the exit status."""
         from aerial_gym.interop import one_thread
         from aerial_gym.robots.catalog import robot_by_name
         from aerial_gym.sim2real.logs.readers.follow import file_lines, stdin_lines

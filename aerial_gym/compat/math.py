@@ -126,7 +126,7 @@ def tensor_clamp(t: Tensor, min_t: Tensor, max_t: Tensor) -> Tensor:
 def to_torch(
     x: object, dtype: torch.dtype = torch.float32, device: str | torch.device = "cpu", requires_grad: bool = False
 ) -> Tensor:
-    """Return a new tensor of numbers; on the CPU unless a device is given, where there it is the first GPU."""
+    """Return a new tensor of numbers, on the CPU by default; that simulator's default is the first GPU."""
     return torch.tensor(x, dtype=dtype, device=device, requires_grad=requires_grad)
 
 

@@ -163,7 +163,7 @@ _PACKAGES = {path.rsplit(".", n)[0] for path in MODULES for n in range(1, path.c
 
 
 class _Loader(Loader):
-    """Fills a module of the table; each name is looked up when it is first used."""
+    """Fills a module of the table; names are resolved at their first use."""
 
     def exec_module(self, module: ModuleType) -> None:
         """Fill the module with its names."""

@@ -87,7 +87,7 @@ def _check_place(cfg: BoxCfg | CapsuleCfg) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class CollisionCfg:
-    """Shapes that must not touch the scene, and on which the robot lands: the union of them all."""
+    """Collision and landing shapes of a robot, as their union."""
 
     spheres: tuple[SphereCfg, ...] = ()
     """Spheres; a vehicle that lands on one rolls."""

@@ -222,7 +222,7 @@ def shown(value: object) -> str:
 
 
 def _number_in_text(value: str) -> float | str:
-    """YAML 1.1 reads ``1e-5`` as text; take it as the number that it is."""
+    """Return a number from text such as ``1e-5``, which YAML 1.1 reads as text."""
     try:
         return float(value)
     except ValueError:

@@ -265,7 +265,7 @@ class RobotCfg:
 
     @property
     def rotor_types(self) -> tuple[RotorCfg, ...]:
-        """The rotor type of each mount, R of them."""
+        """Rotor types of the mounts, R entries."""
         if self.rotor is not None:
             return (self.rotor,) * self.num_rotors
         return tuple(self.rotors[mount.rotor or ""] for mount in self.mounts.layout)
@@ -276,7 +276,7 @@ class RobotCfg:
         return frozenset().union(*(rotor.traits for rotor in self.rotor_types))
 
     def the_rotor(self, purpose: str) -> RotorCfg:
-        """Return its one rotor type; raise ``ConfigError`` that names the purpose if mounts have different ones."""
+        """Return the only rotor type; raise ``ConfigError`` with the purpose if mounts have different ones."""
         first, *others = self.rotor_types
         if any(other != first for other in others):
             names = ", ".join(self.rotors)
@@ -326,7 +326,7 @@ class RobotCfg:
 
     @property
     def link_names(self) -> tuple[str, ...]:
-        """Names of its links; that of the base alone where it is rigid."""
+        """Names of the links; the base alone for a rigid robot."""
         return (BASE,) if self.joints is None else self.joints.link_names
 
     def _check_joints(self) -> None:

@@ -116,7 +116,7 @@ class RotorCfg:
 
     @property
     def reversible(self) -> bool:
-        """Whether its state has a sign."""
+        """Whether the rotor state has a sign."""
         return self.thrust_range[0] < 0.0
 
     @property

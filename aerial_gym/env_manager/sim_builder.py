@@ -31,7 +31,7 @@ LEAST_BYTES = 100
 
 
 def environment_by_name(name: str | Path | EnvironmentCfg) -> EnvironmentCfg:
-    """Return a registered environment, or the one in a file if ``name`` ends in ``.yaml``; a configuration as it is."""
+    """Return a registered environment, or the one in a file if ``name`` ends in ``.yaml``; configurations pass unchanged."""
     if isinstance(name, EnvironmentCfg):
         return name
     if str(name).endswith((".yaml", ".yml")):

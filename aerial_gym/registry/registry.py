@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class _Later(Generic[T]):
-    """An entry that nobody has asked for yet."""
+    """An entry before its first use."""
 
     make: Callable[[], T]
     summary: Callable[[], str] | None
@@ -36,7 +36,7 @@ class Registry(Generic[T]):
         self._entries[name] = entry
 
     def register_later(self, name: str, make: Callable[[], T], *, summary: Callable[[], str] | None = None) -> None:
-        """Add an entry that is made when it is first asked for.
+        """Add an entry that is made at its first use.
 
         Args:
             name: As for ``register``.

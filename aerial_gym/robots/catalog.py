@@ -73,7 +73,7 @@ for _name in (
 
 
 def robot_by_name(name: str | Path | RobotCfg) -> RobotCfg:
-    """Return a registered robot, or the one in a robot file if ``name`` ends in ``.yaml``; a configuration as it is."""
+    """Return a registered robot, or the one in a robot file if ``name`` ends in ``.yaml``; configurations pass unchanged."""
     if isinstance(name, RobotCfg):
         return name
     if str(name).endswith((".yaml", ".yml")):

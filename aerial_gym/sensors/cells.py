@@ -80,7 +80,7 @@ class NearestInCells:
     """Keeps the nearest distances of the first sensor's image, with all views made at construction."""
 
     def __init__(self, image: Tensor, *, cells: tuple[int, int], largest: float, empty: float) -> None:
-        """Take a view of the image, which must stay where it is.
+        """Take a view of the image, which must keep its memory.
 
         Args:
             image: Distances, (E, S, H, W) float32, of which sensor 0 is read; negative where there is none.

@@ -187,7 +187,7 @@ def _deliver(unit: Unit, out: Outputs, e: int):
 
 @wp.kernel(enable_backward=False)
 def _measure(motion: Motion, unit: Unit, random: RandomArrays, number: int, out: Outputs):
-    """Take the step that has just ended into the sample, and write that if it is due."""
+    """Add the last step to the sample, and write the sample if due."""
     e = wp.tid()
     ang_vel = motion.ang_vel[e]
     velocity = _point_velocity(motion, out.position[e], e)

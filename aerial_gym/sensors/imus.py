@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @with_usual_settings
 class ImuSet:
-    """Owns the measurements. The first IMU has the plain key, a further one has its own name in front of it."""
+    """Owner of the IMU measurements. The first IMU has the plain key, the keys of others are prefixed by their names."""
 
     def __init__(
         self,

@@ -29,7 +29,7 @@ _OWNER = "SensorManager"
 
 @with_usual_settings
 class SensorManager:
-    """Owns the images. The first sensor has the plain keys, a further one has its own name in front of them."""
+    """Owner of the images. The first sensor has the plain keys, the keys of others are prefixed by their names."""
 
     def __init__(
         self,

@@ -158,7 +158,7 @@ class Task:
 
     @cached_property
     def observation_space(self) -> "spaces.Dict":
-        """Space of an observation of one environment; Gymnasium is imported when it is asked for."""
+        """Observation space of one environment; Gymnasium is imported on demand."""
         return observation_space(self._widths, self._images)
 
     @cached_property

@@ -17,7 +17,7 @@ from aerial_gym.task.terms.term import BoundTerm, bind
 
 
 class Values(Mapping[str, Tensor]):
-    """Finds tensors by name, and makes a buffer where it is first read; ``print(values.own)`` shows those of the task."""
+    """Tensors by name, with buffers made at their first use; ``print(values.own)`` shows those of the task."""
 
     def __init__(
         self,

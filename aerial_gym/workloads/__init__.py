@@ -1,1 +1,1 @@
-"""``aerial-gym bench``: figures of speed, each from a workload that is checked before and after it is timed."""
+"""``aerial-gym bench``: speed figures of workloads that are checked before and after timing."""

@@ -45,7 +45,7 @@ def _cast_merged(
 
 
 class MergedMeshes:
-    """A merged mesh for each environment, and the launch that renders them all."""
+    """One merged mesh per environment, and the launch that renders all."""
 
     def __init__(self, scene: RenderScene, direction: torch.Tensor, *, shared: bool = False) -> None:
         """Triangulate and merge.

@@ -200,7 +200,7 @@ def fresh(config: Any) -> Any:
 
 
 def frozen(value: Any) -> Any:
-    """Return lists, arrays and tensors as tuples of Python numbers; anything else as it is."""
+    """Return lists, arrays and tensors as tuples of Python numbers, other values unchanged."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     return tuple(frozen(item) for item in value) if isinstance(value, (list, tuple)) else value
@@ -225,7 +225,7 @@ def _name_of(cls: Any) -> str:
 
 
 def _set(cls: type, path: str, value: object) -> None:
-    """Set an attribute of a nested class, and derive that one from the parent's if it has none of its own."""
+    """Set an attribute of a nested class, which is first derived from the parent's if missing."""
     head, _, rest = path.partition(".")
     if not rest:
         setattr(cls, head, value)

@@ -102,7 +102,7 @@ def imu_of(cls: Any) -> ImuCfg:
 
 
 def imu_name(cls: Any) -> str:
-    """Return the name of the registered IMU that a class means; it is registered if it has not been yet."""
+    """Return the registered name of an IMU class, after registration if needed."""
     return registered_name(cls, imu_of(cls), IMUS)
 
 

@@ -164,7 +164,7 @@ def sensor_of(cls: Any) -> RangeSensorCfg:
 
 
 def sensor_name(cls: Any) -> str:
-    """Return the name of the registered sensor that a class means; it is registered if it has not been yet."""
+    """Return the registered name of a sensor class, after registration if needed."""
     return registered_name(cls, sensor_of(cls), SENSORS)
 
 

@@ -54,7 +54,7 @@ class Images:
 
 
 def sensor_of(cfg: EncoderTrainingCfg) -> RangeSensorCfg:
-    """Return the first camera or lidar of the robot, found in a simulation of it.
+    """Return the first camera or lidar of the robot, from a small simulation.
 
     Raises:
         ConfigError: If it has none.

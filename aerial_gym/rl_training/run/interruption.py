@@ -31,7 +31,7 @@ class Interruption:
         self.check()
 
     def check(self) -> None:
-        """Raise ``KeyboardInterrupt`` if the training was asked to end, in any process; all of them look."""
+        """Raise ``KeyboardInterrupt`` if any process got a signal; all processes must call this."""
         self.asked = self._ranks.any(self.asked)
         if self.asked:
             raise KeyboardInterrupt

@@ -49,7 +49,7 @@ class Keeper:
 
     @property
     def due(self) -> bool:
-        """Whether it is time to save, by the clock of rank 0."""
+        """Whether a checkpoint is due, by the clock of rank 0."""
         return self._ranks.broadcast_number(time.perf_counter() - self._saved_at) >= self._interval
 
     def save(self, state: Mapping[str, object], *, env_steps: int, own: Sequence[str] = ()) -> None:

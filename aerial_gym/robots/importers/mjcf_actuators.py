@@ -44,7 +44,7 @@ class Actuator:
 
     @property
     def may_push(self) -> bool:
-        """Whether it may push the whole vehicle: at a site, or at its free joint."""
+        """Whether the actuator can act on the whole vehicle: at a site, or at its free joint."""
         if self._is("trntype", "mjtTrn", "mjTRN_JOINT", "mjTRN_JOINTINPARENT"):
             free = int(self.mujoco.mjtJoint.mjJNT_FREE)
             return int(self.model.jnt_type[int(self.model.actuator_trnid[self.index][0])]) == free
@@ -52,7 +52,7 @@ class Actuator:
 
     @property
     def at_site(self) -> bool:
-        """Whether it pushes at a site."""
+        """Whether the actuator acts at a site."""
         return self._is("trntype", "mjtTrn", "mjTRN_SITE")
 
     @property
@@ -65,11 +65,11 @@ class Actuator:
 
     @property
     def has_force(self) -> bool:
-        """Whether it pushes at a site, and gives more than a torque."""
+        """Whether the actuator acts at a site with a force, not a torque alone."""
         return self.at_site and bool(np.any(self._gear()[0]))
 
     def check(self) -> None:
-        """Raise ``ConfigError`` if it is no rotor."""
+        """Raise ``ConfigError`` unless the actuator is equivalent to a rotor."""
         if not self.at_site:
             raise ConfigError(f"{self.at}: pushes at no site, and only such actuators are rotors. {WAY_OUT}")
         if int(self.model.actuator_trnid[self.index][1]) >= 0:
@@ -102,7 +102,7 @@ class Actuator:
         return FoundRotor(name=self.name, position=place, axis=force / square**0.5)
 
     def rotor(self, pose: np.ndarray, lag: float | None, link: str = BASE) -> FoundRotor:
-        """Return the rotor that it is.
+        """Return the equivalent rotor.
 
         Args:
             pose: Frame of its site in the vehicle's, (4, 4).

@@ -174,7 +174,7 @@ class LinkPlaces:
     """Writes the frames of the links; captured with the step that it belongs to."""
 
     def __init__(self, cfg: JointsCfg, state: JointedState, links: LinkTensors, trajectory: Trajectory | None) -> None:
-        """Take views of the state, which must stay where it is, and of what is written; follow a record if it has joints."""
+        """Take views of the state, which must keep its memory, and of the outputs; follow a trajectory with joints."""
         followed = trajectory is not None and trajectory.joint_pos is not None
         self.track: LinkTrack | None = LinkTrack(cfg, trajectory) if followed and trajectory is not None else None
         """Link poses after each substep of the last step; None without a record."""
