@@ -23,7 +23,7 @@ KINDS = {
     "tasks": (Home("aerial_gym.task:task_registry"),),
     "trainers": (Home("aerial_gym.rl_training:TRAINERS"),),
 }
-"""Registries by what they hold. None of them imports torch or Warp to say what it has."""
+"""Registries by kind. None of them imports torch or Warp for its names."""
 
 UNREGISTERED = {"effects": {"learned_residual": Home("aerial_gym.physics.effects.learned_residual:LearnedResidual")}}
 """Entries that are no names to build from: a learned residual has the numbers of its robot file."""

@@ -135,7 +135,7 @@ def _colored(share: "np.ndarray") -> str:
 def _directed(flow: "np.ndarray") -> str:
     """Return vectors in the hue of their direction (right is red, down is yellow-green), the fuller the longer; 0 is white.
 
-    What only one pixel in a hundred exceeds has the full colour.
+    The 99th percentile has the full colour.
     """
     import numpy as np
     from matplotlib.colors import hsv_to_rgb

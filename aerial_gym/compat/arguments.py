@@ -20,7 +20,7 @@ def parse_arguments(
         description: Shown by ``--help``.
         headless: Whether there is a flag ``--headless``; accepted without effect, as there is no viewer window.
         no_graphics: The same for ``--nographics``.
-        custom_parameters: The script's own flags: ``name`` and what else ``argparse`` takes.
+        custom_parameters: The script's own flags: ``name`` and further arguments for ``argparse``.
         argv: The command line; that of the process if not given.
 
     Returns:

@@ -156,7 +156,7 @@ GONE: dict[str, str] = {
     },
     "utils": "helpers that have a counterpart are listed there",
 }
-"""Modules of that simulator without a counterpart, and the way out."""
+"""Modules of that simulator without a counterpart, with the remedy."""
 
 _PREFIX = "aerial_gym."
 _PACKAGES = {path.rsplit(".", n)[0] for path in MODULES for n in range(1, path.count(".") + 1)} | {"sim", "utils"}

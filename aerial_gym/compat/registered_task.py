@@ -57,7 +57,7 @@ class RegisteredTask(gymnasium.Env):
     ) -> None:
         """Build the simulation that a configuration class names, and the task in it; arguments go before the class.
 
-        ``task_config`` is then a class of the task's own, derived from the given one, with what was given in place.
+        ``task_config`` is then a subclass of the given one, with the given arguments.
 
         Raises:
             ConfigError: If the class has a field that is unknown, or a number is impossible.

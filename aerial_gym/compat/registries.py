@@ -264,7 +264,7 @@ class TaskRegistry(_Names):
     ) -> Any:
         """Return a task; ``device`` and other arguments of its class may follow.
 
-        The class gets a configuration of its own: what it writes there, as tasks of that simulator do, reaches no other task.
+        The class gets a configuration of its own, so that its writes, usual in that simulator, reach no other task.
         """
         given = {"seed": seed, "num_envs": num_envs, "headless": headless, "use_warp": use_warp}
         return self.get_task_class(task_name)(fresh(self.get_task_config(task_name)), **given, **more)

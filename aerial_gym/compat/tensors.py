@@ -23,7 +23,7 @@ class Key:
 
     ours: str  # Counterpart for the documentation; `-` for none
     remark: str = ""  # Difference, or remedy
-    read: Read | None = None  # Its value; None: there is none
+    read: Read | None = None  # Its value; None without one
 
 
 def _own(remark: str = "", key: str | None = None) -> Key:

@@ -24,7 +24,7 @@ class LightCfg:
     sharp.
 
     A surface has its colour times ``ambient + (1 - ambient) max(n . s, 0)``, and its colour times that of every lamp, no
-    channel above 1; there is no light from one surface to another. What lies beyond the range of a sensor throws no shadow in
+    channel above 1; there is no light from one surface to another. Obstacles beyond the range of a sensor throw no shadow in
     its image.
     """
 

@@ -16,7 +16,7 @@ from aerial_gym.config.placement import PlacementCfg
 from aerial_gym.errors import ConfigError
 
 MOST_MISALIGNMENT_DEG = 45.0
-"""Beyond it the axes of a sensor are exchanged, not misaligned: that is what ``euler`` is for."""
+"""Largest misalignment; use ``euler`` for larger rotations of the axes."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -39,7 +39,7 @@ class NoiseCfg:
     """Mean amount by which distances are too short [m]; negative for too long."""
 
     dropout: float = 0.0
-    """Probability that a pixel is dropped and holds ``near_pixel``, whatever it saw; 0 <= dropout < 1."""
+    """Probability that a pixel is dropped and holds ``near_pixel``; 0 <= dropout < 1."""
 
     def __post_init__(self) -> None:
         require_finite(self, "std_a", "std_b", "std_c", "mean_offset")
@@ -105,10 +105,10 @@ class RangeSensorCfg(PlacementCfg, ImagesCfg):
     """Age of an image when it appears [s], >= 0."""
 
     far_out_of_range_value: float | None = None
-    """Distance [m] that stands for "too far"; None takes max_range when normalising and -1 otherwise."""
+    """Distance [m] that marks "too far"; None takes max_range when normalising and -1 otherwise."""
 
     near_out_of_range_value: float | None = None
-    """Distance [m] that stands for "too near"; None takes -max_range when normalising and -1 otherwise."""
+    """Distance [m] that marks "too near"; None takes -max_range when normalising and -1 otherwise."""
 
     source: str
     """Source of the numbers."""

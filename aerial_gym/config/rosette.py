@@ -45,7 +45,7 @@ class RosetteCfg(RangeSensorCfg):
 
     A frame lasts ``1 / rate_hz`` and ends with its capture: column i of frame k is measured at ``(k W + i + 1) / (W rate_hz)``,
     k counted from the reset of the environment. Each column sees robot and obstacles where they were then, as a turning lidar
-    does (``LidarCfg.scan_s``). After ``frames`` frames the scan begins anew.
+    does (``LidarCfg.scan_s``). After ``frames`` frames the scan repeats.
     """
 
     model: str = "rosette"

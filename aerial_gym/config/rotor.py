@@ -54,7 +54,7 @@ class RotorCfg:
     """Largest rate at which it falls, likewise; ``slew_rate`` if not given."""
 
     dead_band: float = 0.0
-    """A command whose size is below this [rad/s, in force mode N] stops the rotor, >= 0."""
+    """Dead band: a command of smaller size [rad/s, in force mode N] stops the rotor, >= 0."""
 
     radius: float | None = None
     """Of the propeller [m], > 0; only effects that depend on it need it."""

@@ -1,6 +1,6 @@
 """Sensor files: one range sensor each, of the class that ``model`` names.
 
-The common part stands in ``range_sensor``, the models in ``camera``, ``lidar`` and ``rosette``; all are importable from here.
+The common part is in ``range_sensor``, the models in ``camera``, ``lidar`` and ``rosette``; all are importable from here.
 """
 
 from dataclasses import replace

@@ -21,7 +21,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 def write_whole(path: str | Path, content: bytes | str) -> None:
     """Write a file atomically: even after a crash it holds either the old or the new content.
 
-    The content goes to a temporary file beside it, which is synced and then renamed.
+    The content goes to a temporary file in the same folder, which is synced and then renamed.
 
     Raises:
         StorageError: If it cannot be written; the old content, if any, is still there and the temporary file is not.

@@ -133,7 +133,7 @@ class TaskCfg:
     """Initial state of episodes in place of the robot's own, used by ``make_task``."""
 
     time_out_bootstraps: bool = True
-    """Whether the return is taken to go on after such an end (``truncated``), or the episode is over (``terminated``)."""
+    """Whether the value continues after such an end (``truncated``), or is 0 (``terminated``)."""
 
     randomize: Mapping[str, RandomizeCfg] = field(default_factory=dict)
     """Quantities drawn at every reset, in addition to those of robot and environment; equal names replace them."""
@@ -156,7 +156,7 @@ class TaskCfg:
     sensor's image the term ``image_latents`` shows."""
 
     images: Mapping[str, ImageCfg] = field(default_factory=dict)
-    """Raw images beside the groups, by the name under which they are given."""
+    """Raw images besides the groups, by their observation key."""
 
     rewards: Mapping[str, RewardCfg]
     """Reward terms by the names under which they are logged; the reward is their sum."""

@@ -249,7 +249,7 @@ class EnvManager:
     def settle(self) -> None:
         """Detach in tensors that keep their memory, so that a later CUDA graph can be replayed from here.
 
-        What came before must have been differentiated already.
+        Earlier losses must have been differentiated already.
         """
         self._graph().settle()
 

@@ -81,7 +81,7 @@ def export_policy(
         robot: Registered robot, or a robot file, that it is to fly in place of that of its training: its limits and the
             range and places of its rotors are written.
         name: Of files and C functions; that of the task if not given.
-        check: Run what was written on ``CHECKED`` random observations and compare it with torch.
+        check: Run the files on ``CHECKED`` random observations and compare them with torch.
 
     Raises:
         ConfigError: If there is no such policy or format, or the policy cannot be written so.

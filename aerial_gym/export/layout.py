@@ -63,9 +63,9 @@ class Layout:
     robot: str
     controller: str
     rate_hz: float  # Rate of the policy in training [1/s]
-    observation: tuple[Seen, ...]  # Terms in the order in which they stand, in their own units, before `scale`
-    images: tuple[SeenImage, ...] = ()  # Images beside them, in the order of the inputs
-    command: tuple[str, ...]  # Entries of the command that comes out, with their units: what the controller takes
+    observation: tuple[Seen, ...]  # Terms in order, in their own units, before `scale`
+    images: tuple[SeenImage, ...] = ()  # Images, in the order of the inputs
+    command: tuple[str, ...]  # Entries of the controller command, with units
     num_actions: int  # V: entries of the action behind the command, each -1 to 1; fed back where observed
     transform: str  # From action to command (`aerial_gym.task.ACTIONS`)
     params: Mapping[str, Any]  # Numbers of the transform

@@ -96,7 +96,7 @@ _IN_PLACE = {
     "pow": "pow_", "and": "bitwise_and_", "or": "bitwise_or_", "xor": "bitwise_xor_", "lshift": "bitwise_left_shift_",
     "rshift": "bitwise_right_shift_",
 }  # fmt: skip
-"""Methods behind augmented assignment. PyTorch's own operators take a ``TypeError`` for 'not implemented' and go on without."""
+"""Methods behind augmented assignment. PyTorch's own operators take a ``TypeError`` for 'not implemented' and ignore it."""
 
 
 def _operator(method: str) -> Callable[[Tensor, Any], Tensor]:

@@ -83,7 +83,7 @@ def train(
     Args:
         cfg: Settings; of a resumed run the limits may differ from those of the first session.
         out: Run folder, new unless ``resume``.
-        resume: Whether to continue from the folder's last checkpoint; a run that was ended before its first starts anew.
+        resume: Whether to continue from the folder's last checkpoint; a run without one starts again.
         show_progress: Whether to draw a bar on stderr.
         watch: Whether to write the last steps of rows that were not finite to ``non_finite.csv``.
         wandb: Project of Weights & Biases that receives the scalars.

@@ -21,7 +21,7 @@ from aerial_gym.math.random import Purpose, Randomness
 
 ROUND_OFF = 1e-6
 """Share of independence in a joint distribution: of two numbers of which the sum alone is known, the matrix is singular, and
-below zero by round-off. It widens what is known exactly by a thousandth of the standard deviation."""
+below zero by round-off. It widens exact correlations by a thousandth of the standard deviation."""
 
 
 def joint_factor(cfg: Randomize) -> tuple[tuple[str, ...], np.ndarray]:

@@ -188,7 +188,7 @@ class RobotManager:
         """Apply parameters written since the last step to the physics.
 
         Returns:
-            Whether tensors of the physics moved, so that a CUDA graph of a step must be recorded anew.
+            Whether tensors of the physics moved, so that a CUDA graph of a step must be recorded again.
         """
         return self._stale and self.refresh_model()
 
@@ -330,7 +330,7 @@ class RobotManager:
         """Apply parameters written by DLPack or a kernel to the physics; ``step`` does so after other writes.
 
         Returns:
-            Whether tensors of the physics moved, so that a CUDA graph of a step must be recorded anew.
+            Whether tensors of the physics moved, so that a CUDA graph of a step must be recorded again.
         """
         self._stale = False
         before = [rows.data_ptr() for rows in self.backend.parameter_targets()]

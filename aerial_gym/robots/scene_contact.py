@@ -211,7 +211,7 @@ class PushedRobot:
     inertia: Tensor  # About the centre of mass [kg m²], body, (E, 3, 3)
     com: Tensor  # Centre of mass from the body origin [m], body, (E, 3)
     spheres: Tensor  # Contact points: centres in the body frame and radii [m], (C, 4)
-    shapes: tuple[CollisionShape, ...] = ()  # Shapes whose contact points these are; none for spheres alone
+    shapes: tuple[CollisionShape, ...] = ()  # Shapes with these contact points; none for spheres alone
     in_fluid: bool = False  # Whether it has added mass
 
 

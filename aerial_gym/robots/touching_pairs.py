@@ -2,7 +2,7 @@
 
 Spheres, corners of boxes and ends of capsules have contact as spheres. Boxes and capsules also have contact at their
 deepest point between these (an edge across an edge, a pole against a face), and with corners of box obstacles inside a box.
-Frames: world of each environment, z up; shapes in the frame of what carries them.
+Frames: world of each environment, z up; shapes in the frame of their body or link.
 Letters: E environments, A instances, C spheres.
 """
 
@@ -28,7 +28,7 @@ _gaps_type, _rows_type = vector_type(MAX_CONTACTS), rows_of(MAX_CONTACTS)
 class TouchingPairs:
     """Pairs of sphere and part that overlap, as ``make_velocity_change`` takes them."""
 
-    gaps: _gaps_type  # [m], 0 where there is none
+    gaps: _gaps_type  # [m], 0 for an empty entry
     levers: _rows_type  # [m] world
     normals: _rows_type  # world
     surface_vels: _rows_type  # [m/s] world

@@ -83,7 +83,7 @@ class NearestInCells:
         """Take a view of the image, which must keep its memory.
 
         Args:
-            image: Distances, (E, S, H, W) float32, of which sensor 0 is read; negative where there is none.
+            image: Distances, (E, S, H, W) float32, of which sensor 0 is read; negative without a hit.
             cells: Rows and columns of cells. Cells have equal size, rounded up; the last ones may be smaller.
             largest: Image value of 1, in the unit of the image.
             empty: The number of a cell in which no pixel holds a distance.

@@ -33,7 +33,7 @@ class Flow:
 
     right: wp.array[wp.vec3]  # (N,) derivative of the column by the point, at distance 1 [pixel]
     down: wp.array[wp.vec3]  # (N,) derivative of the row
-    # of the instances, then of the robot's links, of the world and of what lies at infinity:
+    # of the instances, then of the robot's links, of the world and of points at infinity:
     drift: wp.array2d[wp.vec3]  # (M, A + L + 2) a, sensor frame [m/s]
     turn: wp.array2d[wp.vec3]  # (M, A + L + 2) b, sensor frame [rad/s]
     num_instances: wp.int32  # A
@@ -124,10 +124,10 @@ def record_motion(flow: Flow, scene: Scene, pose: list[wp.array], twist: list[wp
 
     Args:
         flow: Receives them.
-        scene: Whose instances move with the velocities in its ``asset_state``.
+        scene: Instances move with the velocities in its ``asset_state``.
         pose: Body position and attitude, mount position and attitude.
         twist: Velocity of the body's origin, world, and angular velocity, body frame.
-        link: Number of the link that carries the sensor, and whose these are.
+        link: Number of the link that carries the sensor, with these velocities.
     """
     inputs = [scene.arrays, *instance_twists(scene), *link_twists(scene), *pose[:2], *twist, *pose[2:], link]
     outputs, device = [flow.drift, flow.turn], wp.device_from_torch(scene.device)

@@ -12,7 +12,7 @@ the physics of order 1 leave their own O(dt). Float32 adds about ``1e-7 |v_p| / 
 The gyro gives ``w(t)`` in IMU axes, at the end of the step.
 
 An IMU with a rate gives the mean of these forces over the n steps of its period T, and ``w(t)`` at its end; between two samples
-the last one stays. Noise and walk are those of its period. What it gives may appear some steps later.
+the last one stays. Noise and walk are those of its period. Its output may have a latency of some steps.
 
 Then, per axis: bias, white noise ``sigma N / sqrt(dt)``, saturation; the bias walks by ``sigma_b N sqrt(dt)``. Source: IEEE Std
 952-1997, annex B (N and K). Draws of an episode depend on the number of the sample, beside seed, environment and episode.

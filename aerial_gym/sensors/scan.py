@@ -148,7 +148,7 @@ class Scan:
             scene: Instances move with the velocities in its ``asset_state``.
             pose: Body position and attitude, mount position and attitude.
             twist: Velocity of the body's origin, world, and angular velocity, body frame.
-            link: Number of the link that carries the sensor, and whose these are.
+            link: Number of the link that carries the sensor, with these velocities.
         """
         self._cfg, self._scene, self._mount, self._twist, self._link = cfg, scene, pose, twist, link
         self._device = wp.device_from_torch(scene.device)
@@ -160,7 +160,7 @@ class Scan:
         position = wp.zeros(seats, dtype=wp.vec3, device=self._device)
         attitude = wp.zeros(seats, dtype=wp.quat, device=self._device)
         self.pose = [*pose[:2], position, attitude]
-        """Body position and attitude, seat position and attitude (E, S * G); seats stand where mounts do otherwise."""
+        """Body position and attitude, seat position and attitude (E, S * G); seats replace mounts."""
 
     def record_placement(self) -> RecordedLaunch:
         """Record the launch that places the seats."""

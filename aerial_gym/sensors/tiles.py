@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 _MARGIN = 1e-5
-"""Bounds of a tile are wider by this, so that rounding (6e-8) never rejects what a ray hits."""
+"""Bounds of a tile are wider by this, so that rounding (6e-8) never rejects a hit."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -65,7 +65,7 @@ class TaskRegistry(Registry[TaskCfg]):
                 all environments together decide on that, and it says how many obstacles the episode had.
             backend: Registered physics backend in place of the sim's own.
             differentiable: Whether rewards and observations have gradients with respect to actions.
-            dtype: Float type of what has them; float32 if not given.
+            dtype: Float type of gradients; float32 if not given.
             encoder: Encoder file, or one that comes with the package, in place of the task's own; where the task shows the
                 nearest distances of 8 x 8 cells, its latents are shown instead.
 

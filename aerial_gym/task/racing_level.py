@@ -39,7 +39,7 @@ def load_level(path: str | Path, base: TaskCfg, robot: RobotCfg) -> TaskCfg:
 
     Args:
         base: Task of which everything is taken that the file does not say.
-        robot: Its robot, whose inertia the file's offsets are added to.
+        robot: Its robot; the file's inertia offsets are added to its inertia.
 
     Raises:
         ConfigError: If the file cannot be read, a number is missing, or something cannot be flown here.

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from gymnasium import spaces
 
 Observation = dict[str, Tensor]
-"""``observations``, (E, O) float32, is the group ``policy``; other groups and images stand under their own names."""
+"""``observations``, (E, O) float32, is the group ``policy``; other groups and images have their own names as keys."""
 
 StepResult = tuple[Observation, Tensor, Tensor, Tensor, dict[str, Tensor]]
 """Observation, reward, terminated, truncated, info."""
@@ -242,7 +242,7 @@ class Task:
         """Restart every environment; return observation and info.
 
         With a ``seed`` everything is as in a new task with that seed, the choice of obstacles and the curriculum included;
-        without one the curriculum goes on.
+        without one the curriculum continues.
         """
         if self._capture_at_reset:
             self.capture()

@@ -30,7 +30,7 @@ class RenderBench:
     """Pixels in a column."""
 
     segmentation: bool = False
-    """Whether the camera also writes what each pixel sees."""
+    """Whether the camera also writes segmentation ids."""
 
     lidar: bool = False
     """Whether a lidar of a full turn, 45 degrees high, sees the scene instead of the camera."""

@@ -49,7 +49,7 @@ class Field:
     """Changes of the configuration for another value, from all values of the class; None without any."""
 
     refused: bool = False
-    """Whether another value is an error, with ``remark`` as the way out; otherwise it is noted in the log."""
+    """Whether another value is an error, with ``remark`` as the remedy; otherwise it is logged."""
 
 
 def carried(
@@ -95,7 +95,7 @@ class Table:
         """Return the configuration class generated from a configuration of this package.
 
         Args:
-            parent: A class of the same table from which it is derived; it then has only what differs.
+            parent: Base class of the same table; the new class then has only the differences.
         """
         base = parent or type(name, (), {})
         made = type(name, (base,), {STANDS_FOR: cfg, "__doc__": f"Class-style configuration of a {self.kind}."})

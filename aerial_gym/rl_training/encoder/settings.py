@@ -15,10 +15,10 @@ class EncoderTrainingCfg:
     """One training: written as ``config.yaml`` into its folder, from which it can be repeated."""
 
     envs: tuple[str, ...] = ("env_with_obstacles",)
-    """Registered environments, or environment files, whose scenes are drawn; each has an equal share of the images."""
+    """Registered environments, or environment files, for the scenes; each has an equal share of the images."""
 
     robot: str = "base_quadrotor_with_coarse_camera"
-    """Registered robot, or a robot file, whose first camera or lidar sees them."""
+    """Registered robot, or a robot file; its first camera or lidar takes the images."""
 
     target: str = "distance"
     """``distance``: the image itself; ``collision``: how far a ball as large as the robot could fly along each ray."""

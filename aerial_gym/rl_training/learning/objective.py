@@ -30,7 +30,7 @@ def generalized_advantages(
         next_value: V of the observation after it and before a reset, (T, E): a truncated episode is worth that. Not counted
             where the episode terminated.
         terminated: Whether the episode ended for good, bool, (T, E).
-        ended: Whether it ended, by termination or truncation, bool, (T, E): nothing of what follows counts.
+        ended: Whether it ended, by termination or truncation, bool, (T, E): later steps do not count.
         discount: gamma.
         decay: lambda.
 

@@ -28,7 +28,7 @@ class Pilot(Protocol):
 class Policy(nn.Module):
     """A body, a linear head for the mean action, and a deviation for exploration; called, it flies the mean action.
 
-    It needs no trainer installed, and is an ordinary ``torch.nn.Module`` whose ``step`` is a pure function: what is exported.
+    It needs no trainer installed, and is an ordinary ``torch.nn.Module`` with a pure function ``step``, which is exported.
     """
 
     def __init__(self, cfg: BodyCfg, num_actions: int, *, initial_std: float = 1.0, head_variance: float = 1.0) -> None:

@@ -8,7 +8,7 @@
     curve.csv         learning curve: one line per report
     result.json       figures at the end of the last session
     checkpoints/      checkpoint_STEPS.pth: the last two; STEPS are the environment steps of all sessions
-    log.txt           what the libraries print
+    log.txt           output of the libraries
     TRAINER/          files of the trainer, such as summaries/ (TensorBoard)
 
 Files are written whole: a run that is killed at any moment can be continued.
@@ -36,7 +36,7 @@ from aerial_gym.rl_training.settings import TrainingCfg, load_settings
 from aerial_gym.rl_training.trainers.catalog import TRAINERS
 
 VERSIONS = "versions.json"
-"""File with a line for every session: a folder without it holds no training that has begun."""
+"""File with a line for every session: a folder without it holds no started training."""
 
 KEPT_CHECKPOINTS = 2
 """The last one, and the one before it in case the disk damages the last."""

@@ -28,7 +28,7 @@ class Weight:
     """A link with mass."""
 
     mass: float
-    pose: np.ndarray  # Frame of its centre of mass, whose axes those of its inertia are, (4, 4)
+    pose: np.ndarray  # Frame at its centre of mass with the axes of its inertia, (4, 4)
     inertia: np.ndarray  # About that centre [kg m²], (3, 3)
 
 
@@ -37,7 +37,7 @@ class FoundJoint:
     """A joint that moves."""
 
     name: str
-    parent: str = BASE  # Joint on whose link it sits, or the base
+    parent: str = BASE  # Joint of its parent link, or the base
     kind: str  # `revolute` or `prismatic`
     axis: np.ndarray
     position: np.ndarray

@@ -47,7 +47,7 @@ AERODYNAMICS = {
     "hydrodynamics": "water",
     "buoyancy": "buoyancy",
 }
-"""Plugins whose forces are left out, by a part of their names, and what gives these forces."""
+"""Plugins without a counterpart by a part of their names, with the source of their forces."""
 
 
 @dataclass(frozen=True, kw_only=True)

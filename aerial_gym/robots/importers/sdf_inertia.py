@@ -1,6 +1,6 @@
 """Mass and inertia of SDF links: as given, by the defaults of the format, or from collision shapes and their densities.
 
-Without <inertial> a link has 1 kg and 1 kg m² about each axis; so has an inertial for what it does not give. With
+Without <inertial>, or for its missing values, a link has 1 kg and 1 kg m² about each axis. With
 ``auto="true"`` each collision shape is a solid of its own <density>, else that of the inertial, else 1000 kg/m³; a given mass
 then scales the whole.
 

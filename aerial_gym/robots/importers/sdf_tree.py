@@ -40,7 +40,7 @@ class Scope:
 class _Place:
     base: str  # Frame that it is placed in; none of the outermost model
     pose: np.ndarray
-    placement: str | None = None  # Frame of a model that stands at the pose in place of the model's own
+    placement: str | None = None  # Frame of a model to which its pose applies, in place of its own
 
 
 @dataclass
@@ -53,9 +53,9 @@ class SdfTree:
     plugins: list[tuple[str, Element]] = field(default_factory=list)  # Each with the scope of its names
     scopes: dict[str, Scope] = field(default_factory=dict)  # Of links and joints
     roots: list[Element] = field(default_factory=list)  # Of included files
-    _within: list[Path] = field(default_factory=list)  # Files that include what is being read
+    _within: list[Path] = field(default_factory=list)  # Files that include the present one
     _places: dict[str, _Place] = field(default_factory=dict)
-    _attached: dict[str, str] = field(default_factory=dict)  # Frame: what it is attached to, or its canonical link
+    _attached: dict[str, str] = field(default_factory=dict)  # Element or canonical link of each frame
 
     def take(self, model: Element, scope: Scope) -> None:
         """Add the content of a model, and its own frame if it has none yet."""

@@ -14,7 +14,7 @@ def unused_in(
     """Yield the unused elements: ``sensor: front (camera), imu (imu)``, or ``limit of axis: rotor_0_joint``.
 
     Args:
-        root: Element whose children are looked through.
+        root: Element with the children to check.
         used: Tags that are used within it.
         left_out: Elements that are not used although their tags are.
     """

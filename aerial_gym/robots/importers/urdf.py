@@ -54,7 +54,7 @@ def read(path: Path, rotor_links: str, lag: float | None, *, take_properties: bo
         rotor_links: Regular expression of names of links at whose centres of mass (at whose origins, where the file gives
             none) rotors push along z, for files without motors.
         lag: Of the rotors that ``properties`` describe [s]; None refuses them.
-        take_properties: Whether to read what ``properties`` say of rotors.
+        take_properties: Whether to read rotor data from ``properties``.
         joints: Whether revolute, continuous and prismatic joints move, but those of rotors and those that mimic another.
     """
     body, robot = urdf_body(path), read_urdf(path)

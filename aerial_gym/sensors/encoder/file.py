@@ -26,7 +26,7 @@ WHAT = "encoder"
 """Name of the file kind in errors."""
 
 HOW = "Train one with aerial-gym train-encoder"
-"""The way out of most errors."""
+"""Remedy in most errors."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,6 @@
 """Gates: openings to be passed in order, each from its front.
 
-A gate is a rectangle that stands upright: its centre, the heading in which it is flown through, its width and height.
+A gate is an upright rectangle: its centre, heading of passage, width and height.
 Frames: world of each environment, z up. Letters: E environments.
 """
 

@@ -80,7 +80,7 @@ class PracticeStarts:
         """Take the output and the inputs of the draws.
 
         Args:
-            robot: Whose motion is written where an episode begins behind a gate.
+            robot: Motion, written where an episode begins behind a gate.
             gates: Positions [m], world, (E, G, 3), and attitudes, gate to world, xyzw, (E, G, 4).
             share: Of the episodes that do, (1,); read at every draw.
             speed: Largest speed, along the gate's x [m/s].

@@ -82,11 +82,11 @@ class NamedRows:
 
         Args:
             function: Pure; gives at least every name of ``writes``.
-            reads: What it is given, by name; the first is (E, ...).
+            reads: Inputs by name; the first is (E, ...).
             writes: Tensors that receive results, by name; they may be read as well.
-            terms: What the function calls. One that cannot be part of a kernel runs before it, as torch operations of its own.
-            graph: Where values with gradients are; the function then runs as torch operations, whose results have theirs.
-            keeps: Names of ``writes`` whose gradients go on to later steps; all of them if not given.
+            terms: Called by the function. An untraceable one runs before the kernel, as separate torch operations.
+            graph: Values with gradients; the function then runs as torch operations with gradients.
+            keeps: Names of ``writes`` with gradients in later steps; all of them if not given.
         """
         self._graph, self._keeps = graph, tuple(writes if keeps is None else keeps)
         self.what, self._function, self._reads, self._writes = what, function, dict(reads), tuple(writes)

@@ -64,8 +64,8 @@ class Judge:
         """Take the terms and what they read.
 
         Args:
-            cfg: Length of an episode, what ends are worth.
-            values: What they read; receives what is kept from step to step.
+            cfg: Length of an episode, rewards of ends.
+            values: Inputs of the terms; receives the persistent buffers.
             command: Moves the target before all else.
             observer: Of the observation before a reset.
             random: Receives which episodes end, and the number of the next one.

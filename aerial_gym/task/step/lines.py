@@ -1,6 +1,6 @@
 """Delay and history of values as pure functions for kernels.
 
-A line of m values of width w stands in a buffer (E, m w), oldest first. Letters: E environments.
+A line of m values of width w is a buffer (E, m w), oldest first. Letters: E environments.
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ class Line:
         Args:
             past: The line, (E, m w).
             value: Of this step, (E, w).
-            begun: Whether an episode has just begun: then all of them are this one, bool (E,); None where none has.
+            begun: Whether an episode has just begun, bool (E,): then all frames are this value; None for no environment.
         """
         kept = list(past.split(value.shape[1], dim=-1)) if self.length else []
         if begun is not None:

@@ -33,7 +33,7 @@ class Entry:
     noise: int | None  # First of its columns among the draws of noise
     line: Line
     past: tuple[str, ...]  # Buffers of its line, oldest first
-    held: tuple[str, ...]  # Buffers of what each entry held last and of its steps since it was dropped, if held
+    held: tuple[str, ...]  # Buffers of each entry's last value and of the steps since its dropout, if held
     delay: int | None  # Its column among the drawn delays; None where it has one delay
 
     def noisy(self, values: Mapping[str, Tensor], begun: Tensor | None) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
@@ -86,7 +86,7 @@ class Observer:
 
         Args:
             groups: Terms in order, by the name of the group.
-            values: What they read; receives their lines.
+            values: Inputs of the terms; receives their delay lines.
             faults: By the names that terms give.
         """
         self._faults = Faults(widths_of(groups), faults or {}, values, random)
@@ -172,7 +172,7 @@ class Observer:
         """Return whether all terms are finite, bool (E,), the observations by group, and ``writes``, as a pure function.
 
         Args:
-            values: What ``reads`` names.
+            values: Tensors by the names of ``reads``.
             begun: Environments whose episode has just begun, bool (E,); None for none.
         """
         flags, shown, lines = [], {}, {}

@@ -54,7 +54,7 @@ ACTIONS = ActionRegistry("action")
 """Transforms by the name that a task configuration uses."""
 
 ROTOR_RANGE = "rotor_range"
-"""Name of an ``affine``, or ``four_places``, whose numbers are those of the robot's rotors (``task.rotor_range``)."""
+"""Name of an ``affine``, or ``four_places``, with the numbers of the robot's rotors (``task.rotor_range``)."""
 
 NOTHING = 1e-12
 """Share of a thrust below which a root has no gradient of use."""

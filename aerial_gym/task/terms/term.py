@@ -123,7 +123,7 @@ class TermRegistry(Registry[Term]):
             name: Under which a task asks for it; that of the function if not given.
             width: Entries per environment, where it is always the same; such a term is checked for it.
             command: Required controller command, as in ``aerial_gym.control.laws.LAWS``; None fits all.
-            named: What arguments read whose name follows from numbers of the term.
+            named: Templates of input names that depend on the term's numbers, by argument.
         """
 
         def add(function: Function) -> Function:

@@ -109,7 +109,7 @@ def share_that_differs(
 
     Args:
         depth: Ours [m], below 0 for a miss, any shape.
-        identity: What our pixels see; compared if both are given.
+        identity: Segmentation ids of this package; compared if both are given.
         most: Largest share; more than edges explain means that the two did not draw the same scene.
 
     Raises:
