@@ -40,10 +40,14 @@ class LinkShapes:
     """Collision shapes of one link, and the link's pose."""
 
     shapes: Sequence[CollisionShape]  # In the frame of the link
-    number: int = 0  # Of the link; 0 of the body
+    number: int = 0  # Index of the link; 0 for the body
     position: Tensor  # Origin of the frame [m], world, (E, 3); may be strided, but for the last axis
     attitude: Tensor  # To the world, xyzw, unit, (E, 4); likewise
-    pivot: Vec3 = (0.0, 0.0, 0.0)  # Point that moves straight between two poses [m]: the hinge of a link that turns
+    pivot: Vec3 = (
+        0.0,
+        0.0,
+        0.0,
+    )  # Point that moves in a straight line between two poses [m]: the hinge of a revolute link
 
 
 class _Body:

@@ -71,7 +71,7 @@ class MeshLook:
 
     color: NDArray[np.float32]  # Of the corners of the triangles, (F, 3, 3)
     uv: NDArray[np.float32]  # Texture coordinates of the corners, (F, 3, 2)
-    texture: NDArray[np.int32]  # Which of the images a triangle has, -1 for none, (F,)
+    texture: NDArray[np.int32]  # Index of each triangle's image, -1 for none, (F,)
     images: tuple[NDArray[np.uint8], ...]  # Each (H, W, 3)
 
 

@@ -157,7 +157,7 @@ def _search_edges(shape: Shape, center: wp.vec3, turn: wp.quat, half: wp.vec3, f
 
 @wp.func
 def as_box(core: Core) -> Shape:
-    """Return a core as a shape of its own."""
+    """Return a core as a box shape."""
     box = Shape()
     box.kind = BOX
     box.size = core.half

@@ -87,7 +87,7 @@ def time_to_plane(height: float, speed: float, acc: float) -> float:
 
 @wp.func
 def as_body_shape(own: BodyShape) -> BodyShape:  # pyright: ignore[reportRedeclaration] (likewise)
-    """Return a shape as it is."""
+    """Return a ``BodyShape`` unchanged."""
     return own
 
 

@@ -31,7 +31,7 @@ _JOINTS = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
 
 
 def load_urdf_shape(shape: ShapeCfg) -> ShapeCfg:
-    """Return the compound that a shape of kind ``urdf`` stands for; its colour is that of links without a material."""
+    """Return the compound of a shape of kind ``urdf``; links without a material have its colour."""
     compound = load_urdf(str(shape.path), link_ids=shape.link_ids or {}, first_link_id=shape.first_link_id)
     return replace(compound, color=shape.color)
 
@@ -163,7 +163,7 @@ def read_urdf(path: str | Path) -> "URDF":
 
 
 def _check_tree(root: ElementTree.Element) -> None:
-    """Raise ``ConfigError`` unless the links are a tree; yourdfpy drops or joins what is not, in silence."""
+    """Raise ``ConfigError`` unless the links are a tree; yourdfpy silently drops or joins other links."""
     links = [link.get("name", "") for link in root.findall("link")]
     if len(links) > MAX_LINKS:
         raise ConfigError(f"{len(links)} links; at most {MAX_LINKS} can be read")

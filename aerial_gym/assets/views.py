@@ -10,7 +10,7 @@ from aerial_gym.errors import ShapeError
 def check_tensor(
     name: str, tensor: Tensor, shape: tuple[int, ...], *, device: torch.device, dtype: torch.dtype = torch.float32
 ) -> None:
-    """Raise ``ShapeError`` unless a tensor has this shape, dtype and device; ``cuda`` stands for any index."""
+    """Raise ``ShapeError`` unless a tensor has this shape, dtype and device; ``cuda`` matches any index."""
     same_device = tensor.device.type == device.type and device.index in (None, tensor.device.index)
     if tuple(tensor.shape) != shape or tensor.dtype != dtype or not same_device:
         raise ShapeError(

@@ -160,7 +160,7 @@ class ClosedLoop:
         """
         self._robot, self._controller, self._gravity, self._integrator = robot, controller, gravity, integrator
         self.drawn = drawn or {}
-        """What is drawn of gains, by name."""
+        """Ranges of drawn gains, by name."""
         self._corners = [None, *(product((0, 1), repeat=len(self.drawn)) if self.drawn else ())]
         self._vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
         self._model = hover_model(robot, self._vehicle, gravity=gravity) if model is None else model

@@ -22,9 +22,9 @@ class Purpose(IntEnum):
     BOUNDS = 1
     """Corners of an environment; index: corner."""
     ASSETS = 2
-    """Order of the obstacles that are not kept; index: obstacle. Drawn for the seed alone, in episode 0."""
+    """Order of the removable obstacles; index: obstacle. Drawn once per seed, in episode 0."""
     SHAPES = 3
-    """Which of its shapes an obstacle has; index: obstacle. Drawn for the seed alone, in episode 0."""
+    """Shape of an obstacle; index: obstacle. Drawn once per seed, in episode 0."""
     OBSTACLES = 4
     """Poses, twists and paths; indices: obstacle, attempt, quantity."""
     START = 5
@@ -34,35 +34,35 @@ class Purpose(IntEnum):
     PARAMETERS = 7
     """Randomised quantities of vehicle and controller; index: quantity."""
     MOUNTS = 9
-    """Places of the range sensors; indices: sensor, mount, quantity."""
+    """Mounts of the range sensors; indices: sensor, mount, quantity."""
     IMAGE_NOISE = 10
     """Noise of the range sensors; indices: sensor, image, pixel."""
     IMU = 11
-    """Errors and places of inertial sensors; indices: unit, sample, quantity."""
+    """Errors and mounts of inertial sensors; indices: unit, sample, quantity."""
     EFFECTS = 12
-    """Effects in which chance acts; indices: substep, quantity."""
+    """Random effects; indices: substep, quantity."""
     OBSERVATION = 13
-    """Noise of what a policy observes; indices: step, column."""
+    """Noise of observations; indices: step, column."""
     FINAL_OBSERVATION = 14
     """Noise of the last observation of an episode; indices: step, column."""
     AGE = 15
-    """Age of an environment in a batch that begins staggered."""
+    """Initial age of an environment in a staggered batch."""
     OBSERVATION_DELAY = 16
-    """Steps by which what a policy observes is late; index: which of its delays."""
+    """Delays of observations in steps; index: delay."""
     ACTION_DELAY = 17
-    """Steps by which its commands are late."""
+    """Delay of actions in steps."""
     COMMAND = 18
-    """What a command generator draws besides goals, such as a phase; index: quantity."""
+    """Draws of a command generator besides goals, such as a phase; index: quantity."""
     TRACK = 19
-    """Places of gates and poles; indices: what of which, attempt."""
+    """Gates and poles; indices: quantity of an object, attempt."""
     PRACTICE = 20
-    """Where on a track an episode of a training begins; index: quantity."""
+    """Start on a track in training; index: quantity."""
     JOINTS = 21
-    """Coordinates and rates of joints; index: which, all coordinates first."""
+    """Positions and rates of joints; index: quantity, all positions first."""
     FAULT_STEPS = 22
-    """When faults of sensors begin and how long they last; index: which of them."""
+    """Start and duration of sensor faults; index: fault."""
     FAULT = 23
-    """Whether an episode has a fault, and how far a jump goes; index: which of them."""
+    """Occurrence of faults in an episode, and size of jumps; index: fault."""
     ACTION_NOISE = 24
     """Noise of commands; indices: step, entry."""
 

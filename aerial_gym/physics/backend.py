@@ -22,14 +22,14 @@ class Capabilities:
 
     devices: tuple[str, ...]  # Types of device, `cpu` or `cuda`
     dtypes: tuple[torch.dtype, ...]  # Float types of the state
-    integrators: tuple[str, ...]  # Names of steppers
+    integrators: tuple[str, ...]  # Names of integrators
     differentiable: bool  # Whether gradients flow through a rollout
-    effects: Collection[str] | None  # Names of effects it can run; None for every one that has a torch formula
-    lacks: tuple[str, ...] = ()  # Names of effects that it cannot run though
-    rotors: tuple[str, ...] = ()  # What rotors may have beyond a plain speed, of `config.rotor.ROTOR_TRAITS`
-    contact: bool = False  # Whether ground and obstacles can push back
-    joints: bool = False  # Whether bodies can hang on joints
-    contact_of_links: bool = False  # Whether ground and obstacles can push bodies on joints, and these each other
+    effects: Collection[str] | None  # Names of supported effects; None for every one with a torch formula
+    lacks: tuple[str, ...] = ()  # Names of unsupported effects, as exceptions
+    rotors: tuple[str, ...] = ()  # Supported traits of rotors, of `config.rotor.ROTOR_TRAITS`
+    contact: bool = False  # Whether ground and obstacles have contact forces
+    joints: bool = False  # Whether vehicles may have joints
+    contact_of_links: bool = False  # Whether links have contact forces with ground, obstacles and each other
 
 
 class EffectsThatRun(Collection[str]):

@@ -22,15 +22,15 @@ BACKEND_PREFERENCE = ("warp", "torch")
 class Needs:
     """Needed capabilities of a backend."""
 
-    device: torch.device  # Where it runs
+    device: torch.device  # Device of the simulation
     dtype: torch.dtype = torch.float32  # Float type of the state
-    integrator: str | None = None  # Name of a stepper; None where any will do
+    integrator: str | None = None  # Name of an integrator; None for any
     effects: tuple[str, ...] = ()  # Names of effects
-    rotors: frozenset[str] = frozenset()  # Of `config.rotor.ROTOR_TRAITS`
-    contact: bool = False  # Whether ground or obstacles push back
+    rotors: frozenset[str] = frozenset()  # Traits of rotors, of `config.rotor.ROTOR_TRAITS`
+    contact: bool = False  # Whether ground or obstacles have contact forces
     gradients: bool = False  # Whether gradients flow through a step
-    joints: bool = False  # Whether bodies hang on joints
-    contact_of_links: bool = False  # Whether these are pushed by the ground, by obstacles, or by each other
+    joints: bool = False  # Whether the vehicle has joints
+    contact_of_links: bool = False  # Whether links have contact forces with ground, obstacles or each other
 
 
 def needs_of(robot: RobotCfg, device: torch.device, **others: object) -> Needs:

@@ -21,11 +21,11 @@ from aerial_gym.physics.state import BodyState
 class LinkShape:
     """A sphere, a capsule along z or a box of a link, in link axes: a core with a radius around it."""
 
-    link: int  # The base is 0
+    link: int  # Index of the link; 0 for the base
     center: tuple[float, float, float]  # From the origin of the link [m]
     attitude: tuple[float, float, float, float]  # Of the core, xyzw
-    half: tuple[float, float, float]  # Half edges of the core [m]: all zero of a sphere, x and y of a capsule
-    radius: float  # [m]; 0 of a box
+    half: tuple[float, float, float]  # Half edges of the core [m]: all zero for a sphere, x and y zero for a capsule
+    radius: float  # [m]; 0 for a box
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,8 +34,8 @@ class LinkShapes:
 
     links: tuple[int, ...]  # Link of each sphere that can touch the ground, the base being 0, (C,)
     shapes: tuple[LinkShape, ...] = ()  # Shapes that can touch each other, or obstacles
-    pairs: tuple[tuple[int, int], ...] = ()  # Places in `shapes` of those that push each other
-    solids: Solids | None = None  # The obstacles that push `shapes`; None where there are none
+    pairs: tuple[tuple[int, int], ...] = ()  # Pairs of indices into `shapes` with contact
+    solids: Solids | None = None  # Obstacles with contact to `shapes`; None without any
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,23 +43,23 @@ class Ground:
     """A horizontal plane, and the shapes of the vehicle that can touch it."""
 
     height: float
-    """Of the plane [m], world; minus infinity where obstacles alone push a vehicle that bends."""
+    """Height of the plane [m], world; minus infinity for an articulated vehicle with contact to obstacles only."""
 
     spheres: Tensor
     """Centres in the body frame and radii [m], (C, 4)."""
 
     contact: Tensor
-    """Set to True, bool (E,), where a substep touches the ground; with ``cfg`` where it does so at the speed of a crash.
+    """Set to True, bool (E,), at ground contact in a substep; with ``cfg`` only at the speed of a crash.
     Never cleared by the physics."""
 
     cfg: ContactCfg | None = None
-    """How the ground pushes back; None if it does not."""
+    """Parameters of the contact force; None without force."""
 
     impulse: Tensor | None = None
     """With ``cfg``: receives the sum of the impulses [N s], world, (E, 3). Never cleared by the physics."""
 
     on_links: LinkShapes | None = None
-    """With ``cfg``, of a vehicle that bends: ``spheres`` are then in the axes of the links that it names."""
+    """With ``cfg``, contacts of an articulated vehicle; ``spheres`` are then in the axes of their links."""
 
 
 def touches_ground(ground: Ground, state: BodyState) -> Tensor:

@@ -35,7 +35,7 @@ class MassState:
     lin_vel: Tensor  # Velocity of the centre of mass [m/s], world, (E, 3)
     ang_vel: Tensor  # Angular velocity [rad/s], body, (E, 3)
     rotor_speed: Tensor  # Rotor speeds [rad/s], (E, R)
-    load: Tensor  # Direction of the link on which a body hangs, and its rate [1/s], world, (E, 6); (E, 0) without one
+    load: Tensor  # Direction of a load's link and its rate [1/s], world, (E, 6); (E, 0) without a load
 
 
 Stepper = Callable[[Model, MassState, RotorCommand, float], MassState]

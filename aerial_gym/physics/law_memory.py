@@ -20,7 +20,7 @@ class LawNeeds:
     """Memory that a law needs."""
 
     width: int  # Numbers M; all are zero after a reset
-    past: int  # Numbers P in rings: commands on their way. Not cleared: `since` says which are not to be read
+    past: int  # Numbers P of delayed commands in rings; never cleared, because `since` excludes old ones
     dt: float  # Time step [s] for which the law was built
 
 

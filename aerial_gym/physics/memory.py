@@ -21,7 +21,7 @@ class Memory:
     """Memory of all effects of a model."""
 
     initial: Tensor  # Numbers right after a reset, (sum of M,)
-    numbers: Tensor  # Of the effects in the order of `EffectsByKind.forces`, (E, sum of M)
+    numbers: Tensor  # Memory of the effects in the order of `EffectsByKind.forces`, (E, sum of M)
     past: Tensor  # Commands of the control law [rad/s], newest first, (E, S, R); S is 0 without a delay
     since: Tensor  # Substeps since the reset, int32, (E,)
     random: Randomness  # Of the draws, which depend on `since` as well

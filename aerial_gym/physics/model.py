@@ -35,28 +35,28 @@ class Model:
     """The actual vehicle with the effects on it."""
 
     vehicle: Vehicle
-    """With the effects on its parameters applied."""
+    """Vehicle with the effects on its parameters applied."""
 
     inertia_inverse: Tensor
     """Inverse of the inertia [1/(kg m²)], (E, 3, 3)."""
 
     effects: EffectsByKind
-    """All of them by kind; those on the vehicle's parameters are in ``vehicle`` already."""
+    """All effects by kind; those on the vehicle's parameters are already applied to ``vehicle``."""
 
     gravity: float
     """Downward acceleration of free fall [m/s²]."""
 
     ground_height: float | Tensor
-    """Height of the ground [m], world, for effects near it; (E, 1) where it differs between environments."""
+    """Height of the ground [m], world, for effects near it, scalar or (E, 1)."""
 
     ceiling_height: float | Tensor | None
-    """Height of the ceiling [m], world, for effects near it; None where there is none. In plain torch it may differ, (E, 1)."""
+    """Height of the ceiling [m], world, for effects near it; None without ceiling. On the torch backend also (E, 1)."""
 
     other_position: Tensor
-    """Another vehicle, whose wake streams down [m], world, (E, 3)."""
+    """Position of another vehicle with a downwash [m], world, (E, 3)."""
 
     articulation: "Articulation | None" = None
-    """How it bends; None for a rigid one. ``vehicle`` is then that of the reference pose."""
+    """Joints and links; None for a rigid vehicle. ``vehicle`` is then that of the reference pose."""
 
     def to(self, dtype: torch.dtype) -> "Model":
         """Return the model in another float type."""
@@ -143,7 +143,7 @@ def build_model(
 
 
 def in_steady_wind(model: Model, velocity: Tensor) -> Model:
-    """Return a model in a steady wind [m/s], world, (E, 3), on top of its own."""
+    """Return the model with a steady wind [m/s], world, (E, 3), in addition to its own."""
     return replace(model, effects=model.effects.plus(EFFECTS.get("constant_wind"), velocity))
 
 

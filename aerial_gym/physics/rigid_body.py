@@ -151,16 +151,16 @@ class Acting:
     """Contributions to force and torque on the body, without gravity."""
 
     thrust: Tensor
-    """Of the rotors by themselves [N], (E, R)."""
+    """Thrusts of the rotors without effects [N], (E, R)."""
 
     thrusts: list[tuple[str, Tensor]]
-    """What comes to it by each effect on the rotors [N], (E, R)."""
+    """Additional thrust by each effect on the rotors [N], (E, R)."""
 
     wrenches: list[tuple[str, Tensor]]
     """Force [N] and torque about the centre of mass [N m] of each effect on the whole, body, (E, 6)."""
 
     linear: list[tuple[str, Tensor, Tensor]] = field(default_factory=list)
-    """Of effects that are linear in their parameters, if asked for apart: regressor (E, 6, P) and parameters (E, P)."""
+    """Regressor (E, 6, P) and parameters (E, P) of each linear effect, with ``apart``."""
 
     @cached_property
     def whole_thrust(self) -> Tensor:

@@ -13,10 +13,10 @@ from aerial_gym.physics.rotors import lag_acceleration, lag_speed
 from aerial_gym.physics.vehicle import Vehicle
 
 FASTEST = 1e30
-"""Slew rate that stands for no limit: far above all others, with finite products in float32."""
+"""Slew rate that represents no limit: far above all others, with finite products in float32."""
 
 SHORTEST = 1e-12
-"""Time constant that stands for zero [s]."""
+"""Time constant that represents zero [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,14 +25,14 @@ class Succession:
 
     earlier: Tensor  # First commands [rad/s] or [N], (E, R)
     later: Tensor  # Second ones, likewise
-    change: Tensor  # From the start of the step to the second ones [s], (E, 1)
+    change: Tensor  # Time of the second commands after the start of the step [s], (E, 1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ramp:
     """Rotor speeds that are linear within a step, as measured in a log, without lag."""
 
-    rate: Tensor  # Change of their states [rad/s²] or [N/s], (E, R)
+    rate: Tensor  # Rate of change of their states [rad/s²] or [N/s], (E, R)
 
 
 RotorCommand = Tensor | Succession | Ramp

@@ -18,36 +18,36 @@ class Solid:
     """A part of an obstacle."""
 
     kind: str
-    """Of ``config.shape.ShapeCfg``, but for ``compound`` and ``urdf``, which have parts."""
+    """Kind of ``config.shape.ShapeCfg``, except ``compound`` and ``urdf``, which have parts."""
 
     size: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Half edges of a box [m]; of others the radius, and along z half the length of a cylinder or of a capsule's line."""
+    """Half edges of a box [m]; else the radius, and half the length of a cylinder or of a capsule's line along z."""
 
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """In the obstacle [m]."""
+    """Position in the obstacle [m]."""
 
     attitude: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
-    """Part to obstacle, xyzw."""
+    """Attitude, part to obstacle, xyzw."""
 
     path: str = ""
     """File of a mesh."""
 
     vertices: tuple[tuple[float, float, float], ...] = ()
-    """Of a mesh [m]."""
+    """Vertices of a mesh [m]."""
 
     convex: bool = True
-    """Whether it is closed, in one piece and holds every line between two of its points."""
+    """Whether the mesh is one closed convex body."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Solids:
     """Obstacles around the vehicles of all environments; the tensors keep their memory and may be written at any time."""
 
-    table: tuple[Solid, ...]  # Every part that there is
-    part: Tensor  # Row of the table of each part of an environment, -1 where there is none, integer, (E, P)
-    carrier: Tensor  # Which obstacle carries it, integer, (E, P)
+    table: tuple[Solid, ...]  # All parts
+    part: Tensor  # Table row of each part of an environment, -1 for none, integer, (E, P)
+    carrier: Tensor  # Index of the obstacle that carries it, integer, (E, P)
     state: Tensor  # Position [m], xyzw, velocity [m/s], angular velocity [rad/s] of obstacles, world, (E, A, 13)
-    moves: bool = False  # Whether the velocities count: those of obstacles at rest are zero, whatever stands there
+    moves: bool = False  # Whether the velocities count; else they are taken as zero
 
     @cached_property
     def _in_obstacles(self) -> tuple[Tensor, Tensor]:

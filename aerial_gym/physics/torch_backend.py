@@ -144,7 +144,7 @@ class TorchBackend:
     """Physics in plain torch operations."""
 
     name = "torch"
-    """Under which it is registered."""
+    """Registered name."""
 
     capabilities = Capabilities(
         devices=("cpu", "cuda"),
@@ -164,7 +164,7 @@ class TorchBackend:
     _random: Randomness | None = None
     _crept: Tensor | None = None
     law_memory: LawMemory | None = None
-    """What the control law remembers; None before its first step, and without memory."""
+    """Memory of the control law; None before its first step, and without memory."""
 
     def allocate(
         self,

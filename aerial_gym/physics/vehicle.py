@@ -47,7 +47,7 @@ class Vehicle:
     """Mass [kg], (E,)."""
 
     inertia: Tensor
-    """About the centre of mass [kg m²], body axes, (E, 3, 3)."""
+    """Inertia about the centre of mass [kg m²], body axes, (E, 3, 3)."""
 
     com: Tensor
     """Centre of mass from the body origin [m], body, (E, 3)."""
@@ -68,42 +68,42 @@ class Vehicle:
     """Drag torque polynomial q0, q1, q2 [N m, N m s, N m s²], (E, R, 3); in force mode 0, ratio, 0."""
 
     reverse_thrust_map: Tensor
-    """Likewise of a rotor that turns backwards, of the size of its speed, (E, R, 3); only reversible ones do."""
+    """Thrust polynomial of a reversed rotor, of the magnitude of its speed, (E, R, 3); only for reversible rotors."""
 
     reverse_torque_map: Tensor
-    """Likewise, (E, R, 3)."""
+    """Drag torque polynomial of a reversed rotor, likewise, (E, R, 3)."""
 
     time_constant_up: Tensor
-    """Lag of a speed, in force mode of a thrust, that grows in size [s], (E, R)."""
+    """Time constant of a growing magnitude of the speed, in force mode of the thrust [s], (E, R)."""
 
     time_constant_down: Tensor
-    """Lag of one that falls in size [s], (E, R); the very tensor of ``time_constant_up`` where both are one by construction."""
+    """Time constant of a falling magnitude [s], (E, R); the same tensor as ``time_constant_up`` if both are equal."""
 
     slew_rate: Tensor
-    """Largest rate at which the size of the speed [rad/s²], in force mode of the thrust [N/s], grows, (E, R); infinite where
-    there is no limit."""
+    """Largest rate of growth of the magnitude of the speed [rad/s²], in force mode of the thrust [N/s], (E, R); infinite for
+    no limit."""
 
     slew_rate_down: Tensor
-    """Largest rate at which it falls, likewise."""
+    """Largest rate of fall of the magnitude, likewise."""
 
     dead_band: Tensor
-    """Commands of a smaller size [rad/s], in force mode [N], stop the rotor, (E, R)."""
+    """Dead band [rad/s], in force mode [N], (E, R): commands of smaller magnitude stop the rotor."""
 
     rotor_radius: Tensor
-    """Radii of the propellers [m], (E, R); NaN where the robot file gives none."""
+    """Radii of the propellers [m], (E, R); NaN if unknown."""
 
     battery: Tensor
-    """Nominal, full and empty voltage [V], internal resistance [Ohm], capacity [A s] and efficiency, (E, 6); NaN where the
-    robot file gives none."""
+    """Nominal, full and empty voltage [V], internal resistance [Ohm], capacity [A s] and efficiency, (E, 6); NaN if
+    unknown."""
 
     speed_low: Tensor
-    """Lowest speed, in force mode thrust, that can be commanded [rad/s] or [N], (E, R)."""
+    """Lowest command of speed [rad/s], in force mode of thrust [N], (E, R)."""
 
     speed_high: Tensor
-    """Highest one that can be commanded, (E, R)."""
+    """Highest command, likewise, (E, R)."""
 
     traits: frozenset[str] = frozenset()
-    """What some rotors have beyond a plain speed: ``config.rotor.ROTOR_TRAITS``; it chooses the formulas."""
+    """Traits of rotors beyond a plain speed, of ``config.rotor.ROTOR_TRAITS``, which select the formulas."""
 
     @property
     def num_envs(self) -> int:

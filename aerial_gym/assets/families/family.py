@@ -52,7 +52,7 @@ class Draw:
 class Family:
     """A rule that makes shapes, with the ranges of its numbers."""
 
-    summary: str  # One line for people who choose a family
+    summary: str  # One-line description
     ranges: Mapping[str, Range]  # Lowest and highest value of every number; lengths in metres, angles in radians
     make: Callable[[Draw], ShapeCfg]  # The rule
 

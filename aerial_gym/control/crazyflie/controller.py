@@ -56,13 +56,13 @@ class _Crazyflie(RememberingController):
     """Common part of the controllers: parameters, and a target point."""
 
     gains_by_name: Mapping[str, Tensor] = MappingProxyType({})
-    """None are drawn: they are the Crazyflie's parameters, one set for all."""
+    """Empty, because all environments share the Crazyflie's parameters."""
 
     own_numbers: int
-    """Remembered between runs."""
+    """Size of the own memory."""
 
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
-        """Take the configuration, the declared vehicle, gravity [m/s²], the physics step [s] and the robot's own settings."""
+        """Derive timing and layout from configuration, declared vehicle, gravity [m/s²], physics step [s] and robot file."""
         assert cfg.autopilot is not None
         require_position(cfg.law)
         self._own = autopilot_of(cfg, control)
@@ -78,7 +78,7 @@ class _CrazyflieInCounts(_Crazyflie):
     """Common part of controllers with output in counts: the power distribution."""
 
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
-        """Take what ``make_controller`` does."""
+        """Derive the gains; arguments as for ``make_controller``."""
         super().__init__(cfg, vehicle, gravity, dt=dt, control=control)
         self._signs = signs_of(cfg.law, vehicle, self.allocation, gravity)
         self._derived = DerivedCounts(
@@ -104,7 +104,7 @@ class MellingerController(_CrazyflieInCounts):
     own_numbers = mellinger.WIDTH
 
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
-        """Take what ``make_controller`` does."""
+        """Derive the gains; arguments as for ``make_controller``."""
         super().__init__(cfg, vehicle, gravity, dt=dt, control=control)
         self.gains = mellinger_gains(self._own, self._derived)
 
@@ -128,7 +128,7 @@ class MellingerController(_CrazyflieInCounts):
         return self._speeds(thrust, moment), kept, sent
 
     def fused(self) -> FusedLaw:
-        """Return the twin in Warp."""
+        """Return the Warp version of the law."""
         return self._fused(
             make_stateful_step=crazyflie_fused.mellinger_maker(
                 self.timing,
@@ -148,7 +148,7 @@ class PidController(_CrazyflieInCounts):
     own_numbers = pid.INNER_NUMBERS + pid.OUTER_NUMBERS
 
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
-        """Take what ``make_controller`` does."""
+        """Derive the gains; arguments as for ``make_controller``."""
         super().__init__(cfg, vehicle, gravity, dt=dt, control=control)
         self.gains = pid_gains(self._own, self._derived)
 
@@ -168,7 +168,7 @@ class PidController(_CrazyflieInCounts):
         return self._speeds(setpoint[:, :1], moment), torch.cat((inner, outer), dim=-1), sent
 
     def fused(self) -> FusedLaw:
-        """Return the twin in Warp."""
+        """Return the Warp version of the law."""
         return self._fused(
             make_stateful_step=crazyflie_fused.pid_maker(self.timing, self._layout, self._signs),
             gains_type=crazyflie_fused.PidRows,
@@ -182,7 +182,7 @@ class CrazyflieLeeController(_Crazyflie):
     own_numbers = geometric.WIDTH
 
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
-        """Take what ``make_controller`` does."""
+        """Derive the gains; arguments as for ``make_controller``."""
         super().__init__(cfg, vehicle, gravity, dt=dt, control=control)
         self.gains = integral_gains(
             self._own, Derived(cfg, control, vehicle, self.allocation, gravity=gravity, timing=self.timing)
@@ -199,7 +199,7 @@ class CrazyflieLeeController(_Crazyflie):
         return self.allocation.speed_for_wrench(wrench_from(thrust, torque)), kept, sent
 
     def fused(self) -> FusedLaw:
-        """Return the twin in Warp."""
+        """Return the Warp version of the law."""
         return self._fused(
             make_stateful_step=geometric_fused.geometric_maker(self.timing, self._layout),
             gains_type=geometric_fused.IntegralRows,
@@ -213,7 +213,7 @@ class BrescianiniController(_Crazyflie):
     own_numbers = 0
 
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
-        """Take what ``make_controller`` does."""
+        """Derive the gains; arguments as for ``make_controller``."""
         super().__init__(cfg, vehicle, gravity, dt=dt, control=control)
         self._derived = Derived(cfg, control, vehicle, self.allocation, gravity=gravity, timing=self.timing)
         self.gains = brescianini_gains(self._own, self._derived)
@@ -231,7 +231,7 @@ class BrescianiniController(_Crazyflie):
         return speeds, memory.numbers[:, : self.own_numbers], sent
 
     def fused(self) -> FusedLaw:
-        """Return the twin in Warp."""
+        """Return the Warp version of the law."""
         return self._fused(
             make_stateful_step=brescianini_fused.brescianini_maker(
                 self.timing, self._layout, gravity=self._derived.gravity, max_inclination=self._derived.tilt

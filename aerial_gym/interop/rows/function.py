@@ -25,8 +25,8 @@ _kernels: dict[str, wp.Kernel] = {}
 class Made:
     """An input that the kernel computes in each row, by straight-line code."""
 
-    lines: tuple[str, ...]  # Warp code that makes the numbers `made_0`, `made_1`, ... of `row` from `given`
-    names: Mapping[str, Any]  # What it calls by name, besides `wp`
+    lines: tuple[str, ...]  # Warp code that computes `made_0`, `made_1`, ... of `row` from `given`
+    names: Mapping[str, Any]  # Names that the code uses, besides `wp`
     given_type: Any  # The `wp.struct` of `given`
     given: Any  # Its value; what it points to must be kept alive
 
@@ -73,7 +73,7 @@ class RowFunction:
         start_warp()
         traced = trace(function, inputs, lifts=lifts)
         self.lifted = tuple(traced.lifted)
-        """What it takes from elsewhere, as the kernel reads it."""
+        """Lifted tensors from elsewhere, as kernel arrays."""
         source = write(traced, masked=masked, made=() if made is None else made.lines, beside=beside is not None)
         self._given = [each.given for each in (beside, made) if each is not None]
         self._threads = 1 if beside is None else 2

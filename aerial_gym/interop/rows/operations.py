@@ -138,12 +138,14 @@ Arguments = Callable[[tuple[Any, ...], dict[str, Any]], tuple[Any, ...]]
 class Pointwise:
     """Scalar form of an operation on tensors."""
 
-    make: Callable[["Trace", tuple[int, ...], torch.dtype], int]  # From scalars of the arguments to that of the result
+    make: Callable[
+        ["Trace", tuple[int, ...], torch.dtype], int
+    ]  # Function from scalars of the arguments to that of the result
     arguments: Arguments = lambda args, kwargs: args  # Its tensor and number arguments, in order
-    compares: bool = False  # Whether its arguments have a common type that is not that of the result
-    inside: torch.dtype | None = None  # Type of the arguments, where it is not that of the result
+    compares: bool = False  # Whether its arguments have a common type other than the result's
+    inside: torch.dtype | None = None  # Type of the arguments, if other than the result's
     types: tuple[torch.dtype | None, ...] | None = None  # Type of each argument, None for its own
-    known: frozenset[str] = frozenset()  # Names of keyword arguments that it understands, or that change nothing here
+    known: frozenset[str] = frozenset()  # Names of supported keyword arguments, or of those without effect
     floats: bool = False  # Whether only for floating-point numbers
 
 

@@ -27,9 +27,9 @@ class KernelSource:
     """Source of a kernel ``rows``, and its inputs."""
 
     code: str
-    shared: frozenset[int]  # Positions of those that all rows share
+    shared: frozenset[int]  # Positions of inputs that all rows share
     inputs: tuple[int, ...]  # Positions of the inputs read: arguments before the outputs, (E, n) or shared (n,)
-    names: dict[str, Any] = field(default_factory=dict)  # What the code calls by name, besides `wp`
+    names: dict[str, Any] = field(default_factory=dict)  # Names that the code uses, besides `wp`
 
 
 def write(trace: Trace, *, masked: bool = False, made: Sequence[str] = (), beside: bool = False) -> KernelSource:

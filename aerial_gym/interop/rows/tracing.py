@@ -43,10 +43,10 @@ class Scalar:
     """One number of a row: its operation and arguments."""
 
     kind: str
-    """``input`` (of a row), ``shared`` (one for all rows), ``constant``, or the name of an operation."""
+    """``input`` (one row), ``shared`` (by all rows), ``constant``, or the name of an operation."""
 
     args: tuple[int | float | bool, ...]
-    """Numbers of other scalars; of an input its position and its entry; of a constant its value."""
+    """Numbers of other scalars; position and entry of an input; value of a constant."""
 
     dtype: torch.dtype
 
@@ -57,13 +57,13 @@ class Trace:
 
     scalars: list[Scalar] = field(default_factory=list)
     outputs: list[tuple[list[int], tuple[int, ...], torch.dtype]] = field(default_factory=list)
-    """Of each output: its scalars, the shape of its row, its type."""
+    """Scalars, row shape and type of each output."""
 
     widths: dict[int, int] = field(default_factory=dict)
-    """Entries in a row of each input, by its position."""
+    """Number of entries in a row of each input, by position."""
 
     lifted: list[Tensor] = field(default_factory=list)
-    """Tensors that the function took from elsewhere, (E, ...), or (...) where all rows are one: inputs behind its own."""
+    """Tensors from elsewhere, (E, ...), or (...) if shared, which become inputs after the function's own."""
 
     _numbers: dict[tuple[str, str | tuple[Any, ...], torch.dtype], int] = field(default_factory=dict)
 

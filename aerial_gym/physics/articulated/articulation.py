@@ -29,23 +29,23 @@ class Articulation:
 
     tree: Tree  # Frames of links are along those of the base in the reference pose
     origins: Tensor  # Origins of the links from the body origin [m], body axes, reference pose, (L, 3)
-    link_mass: Tensor  # Of the links but the base [kg], (D,)
-    link_com: Tensor  # Centres of mass of these from the body origin [m], body axes, reference pose, (D, 3)
-    link_inertia: Tensor  # About these [kg m²], (D, 3, 3)
+    link_mass: Tensor  # Masses of the links without the base [kg], (D,)
+    link_com: Tensor  # Their centres of mass from the body origin [m], body axes, reference pose, (D, 3)
+    link_inertia: Tensor  # Their inertias about these centres [kg m²], (D, 3, 3)
     rotor_links: tuple[int, ...]  # Link of each rotor, R of them
     reference: Tensor  # Coordinates in the reference pose [rad] or [m], (D,)
     spring: Spring  # Passive law of every joint, tensors (1, D)
     friction: Tensor  # Dry friction of every joint [N m], (1, D)
-    rubs: bool  # Whether any has some
+    rubs: bool  # Whether any joint has dry friction
     ends: Limits  # Soft ends of every joint, tensors (1, D)
-    creep_stiffness: Tensor  # Of the elements that creep, (N, D); zero where a joint has fewer than N of them
-    creep_time: Tensor  # Their times [s], (N, D)
+    creep_stiffness: Tensor  # Stiffness of the creep elements, (N, D); zero for missing elements of a joint
+    creep_time: Tensor  # Their time constants [s], (N, D)
     drive_gains: Tensor  # Stiffness, damping and largest effort of each drive, (C, 3)
-    driven: tuple[int, ...]  # Joints that have one, C of them
-    modes: tuple[str, ...]  # What their commands are, of `DRIVE_MODES`, C of them
+    driven: tuple[int, ...]  # Indices of the C joints with a drive
+    modes: tuple[str, ...]  # Their command modes, of `DRIVE_MODES`
     command_low: Tensor  # Lowest commands, (C,)
     command_high: Tensor  # Highest commands, (C,)
-    names: tuple[str, ...]  # Of the joints, D of them
+    names: tuple[str, ...]  # Names of the joints
 
     @property
     def num_joints(self) -> int:

@@ -38,9 +38,9 @@ EffortStep = Callable[[Effort], TreeState]
 class Bounded:
     """State of bounded laws over a step, each tensor (K, E, D)."""
 
-    side: Tensor  # 1 or -1 where a law is at its limit, by the sign of its effort; else 0
+    side: Tensor  # Sign of the effort of a law at its limit, 1 or -1; else 0
     effort: Tensor  # Effort in rows where `is_held` is true [N m] or [N]
-    is_held: Tensor  # Whether `effort` is applied as it is, in place of the law or its limit, (1, E, 1)
+    is_held: Tensor  # Whether the constant `effort` replaces the law and its limit, (1, E, 1)
 
     def effort_at(self, laws: Sequence[Drive], position: Tensor, rate: Tensor) -> Sequence[Effort]:
         """Return the efforts of the laws at a motion (E, D)."""
@@ -59,19 +59,19 @@ class Bounded:
 
 @dataclass(frozen=True, kw_only=True)
 class _Point:
-    """Rates at the end of a step and the efforts that lead to them."""
+    """Rates at the end of a step, and the efforts of the step."""
 
     rate: Tensor  # [rad/s] or [m/s], (E, D)
-    wanted: Tensor  # What each law asks for there, beyond its limit or not, (K, E, D)
-    effort: Tensor  # What all laws together apply, (E, D)
+    wanted: Tensor  # Unlimited effort of each law at these rates, (K, E, D)
+    effort: Tensor  # Total effort of all laws, (E, D)
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoundedProblem:
-    """Bounded laws of joints and the steps that they act in."""
+    """Bounded laws of joints, and the step in which they act."""
 
     laws: Sequence[Drive]  # Drives and dry friction, K of them
-    friction: Sequence[bool]  # Which of them are dry friction
+    friction: Sequence[bool]  # Whether each law is dry friction
     acts: Effort  # Efforts of the other laws at the start of the step
     state: TreeState  # Motion at the start of the step
     rounds: int = ROUNDS  # Rounds of Newton's method, at most

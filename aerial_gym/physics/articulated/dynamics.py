@@ -27,7 +27,7 @@ class Equations:
     """M, symmetric and positive definite, (E, N, N)."""
 
     force: Tensor
-    """What acts less what turning and swinging take, (E, N): force [N] and torque [N m] on the base, efforts of joints."""
+    """Applied forces minus velocity terms, (E, N): force [N] and torque [N m] on the base, efforts of joints."""
 
     places: Places
     motion: Motion
@@ -37,9 +37,9 @@ class Equations:
 class Accelerations:
     """Accelerations of a tree."""
 
-    lin_acc: Tensor  # Of the base's origin [m/s²], world, (E, 3)
-    ang_acc: Tensor  # Of the base [rad/s²], base axes, (E, 3)
-    joint_acc: Tensor  # [rad/s²] or [m/s²], (E, D)
+    lin_acc: Tensor  # Acceleration of the base's origin [m/s²], world, (E, 3)
+    ang_acc: Tensor  # Angular acceleration of the base [rad/s²], base axes, (E, 3)
+    joint_acc: Tensor  # Accelerations of the joints [rad/s²] or [m/s²], (E, D)
 
 
 def equations(

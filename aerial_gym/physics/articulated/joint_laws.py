@@ -23,8 +23,8 @@ class Effort:
     """Effort of joints with its derivatives."""
 
     value: Tensor  # [N m] or [N], (E, D)
-    stiffness: Tensor  # By how much it falls per position, (E, D)
-    damping: Tensor  # By how much it falls per rate, (E, D)
+    stiffness: Tensor  # Decrease of the effort per position, (E, D)
+    damping: Tensor  # Decrease of the effort per rate, (E, D)
 
     def __add__(self, other: "Effort") -> "Effort":
         """Return the sum of two efforts."""
@@ -51,7 +51,7 @@ class Spring:
     quadratic: Tensor  # k2 [N m/rad²]
     damping: Tensor  # c [N m s/rad]
     rest: Tensor  # q0 [rad]
-    preload: Tensor  # p, what it holds at rest [N m]
+    preload: Tensor  # p, effort at rest [N m]
 
     def effort_at(self, position: Tensor, rate: Tensor) -> Effort:
         """Return the effort of spring and damper."""
@@ -93,7 +93,7 @@ class Drive:
     damping: Tensor  # c
     position: Tensor  # q_c
     rate: Tensor  # q'_c
-    effort: Tensor  # f, asked for as it is
+    effort: Tensor  # f, feed-forward effort
     limit: Tensor  # Largest effort
 
     def effort_demand(self, position: Tensor, rate: Tensor) -> Tensor:

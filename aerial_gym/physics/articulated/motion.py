@@ -25,11 +25,11 @@ cross = torch.linalg.cross
 class Places:
     """Poses and mass properties of links."""
 
-    rotation: Tensor  # Axes of each link to those of the base, (E, L, 3, 3)
-    origin: Tensor  # Of each link from that of the base [m], (E, L, 3)
+    rotation: Tensor  # Rotation from each link to the base, (E, L, 3, 3)
+    origin: Tensor  # Origin of each link from that of the base [m], (E, L, 3)
     axis: Tensor  # Direction of each joint, (E, D, 3)
     com: Tensor  # Centre of mass of each link from the origin of the base [m], (E, L, 3)
-    inertia: Tensor  # Of each link about its centre of mass [kg m²], (E, L, 3, 3)
+    inertia: Tensor  # Inertia of each link about its centre of mass [kg m²], (E, L, 3, 3)
 
 
 def place_links(tree: Tree, links: Links, joint_pos: Tensor) -> Places:

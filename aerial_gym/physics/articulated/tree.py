@@ -22,18 +22,18 @@ class Joint:
     """A joint of one degree of freedom, with its pose on its parent."""
 
     parent: int
-    """Number of the link that it hangs on."""
+    """Index of the parent link."""
 
     kind: Literal["revolute", "prismatic"] = "revolute"
 
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    """Unit vector, in its frame, that it turns about or moves along."""
+    """Unit vector of rotation or translation, in the joint's frame."""
 
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Origin of the joint's frame on its parent [m]."""
 
     attitude: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
-    """The joint's frame to its parent's where its coordinate is zero, xyzw, unit."""
+    """Rotation from the joint's frame to the parent's at coordinate zero, xyzw, unit."""
 
     def __post_init__(self) -> None:
         """Refuse invalid values."""
@@ -53,7 +53,7 @@ class Tree:
     """Topology of links; the same in all environments."""
 
     joints: tuple[Joint, ...]
-    floating: bool = True  # Whether the base moves; else it stands still
+    floating: bool = True  # Whether the base moves; else it is fixed
 
     def __post_init__(self) -> None:
         """Refuse joints on later or missing links."""

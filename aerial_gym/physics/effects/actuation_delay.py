@@ -35,7 +35,7 @@ class ActuationDelay(DelayEffect):
         return params[:, 0]
 
     def warp_delay(self) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
         params = wp.types.vector(length=1, dtype=wp.float32)
 
         @wp.func

@@ -39,7 +39,7 @@ class AddedMass(FluidEffect):
         return params
 
     def warp_added_mass(self) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
 
         @wp.func
         def mass_of(params: wp.vec3) -> wp.vec3:
@@ -56,7 +56,7 @@ class AddedMass(FluidEffect):
         return torch.cat((force, wrench[:, 3:] - torch.linalg.cross(v, momentum)), dim=-1)
 
     def warp_entrain(self, condition: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
 
         @wp.func
         def added_mass(

@@ -147,7 +147,7 @@ class ArmJoint(WrenchEffect):
         return torch.cat((force, torque - drag.unsqueeze(-1) * leaning), dim=-1).sum(1)
 
     def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
         thrust_of, _ = make_maps(vehicle)
         num_rotors = len(moment.vars["rotor_speed"].type())
         numbers = wp.types.vector(length=ANGLES + num_rotors, dtype=wp.float32)
@@ -170,7 +170,7 @@ class ArmJoint(WrenchEffect):
         return bend
 
     def warp_wrench(self, condition: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
         num_rotors = len(condition.vars["rotor_speed"].type())
         numbers = wp.types.vector(length=ANGLES + num_rotors, dtype=wp.float32)
 

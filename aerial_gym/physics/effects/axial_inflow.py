@@ -36,7 +36,7 @@ class AxialInflow(RotorEffect):
         return -params[:, :1] * condition.rotor_speed.abs() * condition.axial_velocity
 
     def warp_thrust(self, condition: type, hub: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
         params = wp.types.vector(length=1, dtype=wp.float32)
 
         @wp.func

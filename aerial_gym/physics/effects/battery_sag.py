@@ -81,7 +81,7 @@ class BatterySag(CommandEffect):
         return torch.stack((torch.zeros_like(voltage), voltage), dim=-1)
 
     def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
         _, torque_of = make_maps(vehicle)
 
         @wp.func
@@ -101,7 +101,7 @@ class BatterySag(CommandEffect):
         return battery_state
 
     def warp_command(self, vehicle: type, vector: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
 
         @wp.func
         def battery_sag(command: vector, plant: vehicle, values: wp.vec3) -> vector:

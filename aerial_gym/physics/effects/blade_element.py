@@ -198,7 +198,7 @@ class BladeElement(WrenchEffect):
         return share * torch.cat((sum_slices(force, 1), sum_slices(moment, 1)), dim=-1)
 
     def warp_wrench(self, condition: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
         num_rotors = len(condition.vars["rotor_speed"].type())
         numbers = wp.types.vector(length=FLAP + 1, dtype=wp.float32)
 

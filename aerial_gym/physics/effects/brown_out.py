@@ -70,7 +70,7 @@ class BrownOut(CommandEffect):
         return torch.ones_like(voltage).unsqueeze(-1)
 
     def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
 
         @wp.func
         def supply(plant: vehicle, now: moment, values: wp.vec4) -> wp.vec4:
@@ -81,7 +81,7 @@ class BrownOut(CommandEffect):
         return supply
 
     def warp_command(self, vehicle: type, vector: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
 
         @wp.func
         def brown_out(command: vector, plant: vehicle, values: wp.vec4) -> vector:

@@ -45,7 +45,7 @@ class Buoyancy(WrenchEffect):
         return buoyant(params[:, :1], params[:, 1:] - condition.vehicle.com, condition.up)
 
     def warp_wrench(self, condition: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
 
         @wp.func
         def buoyancy(at: condition, p: wp.vec4) -> wp.spatial_vector:
@@ -65,6 +65,6 @@ def buoyant(force: Tensor, lever: Tensor, up: Tensor) -> Tensor:
 
 @wp.func
 def warp_buoyant(force: float, lever: wp.vec3, up: wp.vec3) -> wp.spatial_vector:
-    """Return the same in Warp."""
+    """Return the Warp version."""
     push = force * up
     return wp.spatial_vector(push, wp.cross(lever, push))

@@ -49,7 +49,7 @@ class CeilingEffect(RotorEffect):
         return condition.rotor_thrust * strength / (room.square() - strength)
 
     def warp_thrust(self, condition: type, hub: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
         params = wp.types.vector(length=1, dtype=wp.float32)
 
         @wp.func

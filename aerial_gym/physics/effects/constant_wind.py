@@ -33,7 +33,7 @@ class ConstantWind(WindEffect):
         return params
 
     def warp_wind(self) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
 
         @wp.func
         def constant_wind(position: wp.vec3, params: wp.vec3) -> wp.vec3:

@@ -48,7 +48,7 @@ class Downwash(WrenchEffect):
         return torch.cat((force, torch.zeros_like(force)), dim=-1)
 
     def warp_wrench(self, condition: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
 
         @wp.func
         def downwash(at: condition, params: wp.vec2) -> wp.spatial_vector:

@@ -59,7 +59,7 @@ class GroundEffect(RotorEffect):
         return condition.rotor_thrust * strength / (square - strength)
 
     def warp_thrust(self, condition: type, hub: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
         params = wp.types.vector(length=1, dtype=wp.float32)
 
         @wp.func

@@ -55,7 +55,7 @@ class Gusts(WindEffect):
         return params[:, 2:]
 
     def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
         numbers = wp.types.vector(length=5, dtype=wp.float32)
 
         @wp.func
@@ -82,7 +82,7 @@ class Gusts(WindEffect):
         return next_gust
 
     def warp_wind(self) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
         numbers = wp.types.vector(length=5, dtype=wp.float32)
 
         @wp.func

@@ -46,7 +46,7 @@ class HForceFlapping(LinearWrenchEffect):
         return torch.stack((in_plane, torch.cat((torch.zeros_like(moment), moment), dim=1)), dim=2)
 
     def warp_wrench(self, condition: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
 
         @wp.func
         def h_force_flapping(at: condition, k: wp.vec2) -> wp.spatial_vector:

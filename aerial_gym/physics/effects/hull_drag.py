@@ -47,7 +47,7 @@ class HullDrag(LinearWrenchEffect):
         return -torch.cat((torch.cat((along, none), dim=-1), torch.cat((none, about), dim=-1)), dim=1)
 
     def warp_wrench(self, condition: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
         twelve = vector_type(12)
 
         @wp.func

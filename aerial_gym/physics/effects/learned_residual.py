@@ -96,7 +96,7 @@ class LearnedResidual(WrenchEffect):
         return params * self.evaluate(felt_inputs(condition.air_velocity, condition.ang_vel, condition.rotor_speed))
 
     def warp_wrench(self, condition: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
         cfg = self.cfg
         inputs, numbers, one = _vector(NUM_INPUTS), _vector(NUM_OUTPUTS), _vector(1)
         low, high, centre, scale = inputs(*cfg.low), inputs(*cfg.high), inputs(*cfg.centre), inputs(*cfg.scale)

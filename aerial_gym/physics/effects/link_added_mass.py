@@ -74,7 +74,7 @@ class LinkAddedMass(ByLink, LinkFluidEffect):
         return self.numbers(num_links, params)
 
     def warp_added_mass(self, link: int) -> wp.Function | None:
-        """Return the same in Warp; a link without any costs nothing."""
+        """Return the Warp version; a link without any costs nothing."""
         if not self.has(link, *_MASSES, *_INERTIAS):
             return None
         masses, inertias = self.warp_numbers(link, *_MASSES), self.warp_numbers(link, *_INERTIAS)

@@ -55,7 +55,7 @@ class LinkBuoyancy(ByLink, LinkWrenchEffect):
         return buoyant(own[..., :1], own[..., 1:], up)
 
     def warp_wrench(self, link: int) -> wp.Function | None:
-        """Return the same in Warp; a link without a force costs nothing."""
+        """Return the Warp version; a link without a force costs nothing."""
         if not self.has(link, "force"):
             return None
         force, lever = self.warp_numbers(link, "force"), self.warp_numbers(link, *"xyz")

@@ -30,7 +30,7 @@ _LINEAR, _QUADRATIC, _TURNING, _WHIRLING = (tuple(f"{letter}{axis}" for axis in 
 
 
 class LinkDrag(ByLink, LinkEffect):
-    """Twelve coefficients, of all links or of one; as declared by a robot (``of``) those that its file names."""
+    """Twelve coefficients for all links or for one; an effect bound to a robot has those of its file."""
 
     name = "link_drag"
     summary = "drag of each link of a vehicle with joints: linear and quadratic, along and about each axis of the link"
@@ -55,7 +55,7 @@ class LinkDrag(ByLink, LinkEffect):
         return torch.cat((linear + quadratic * along, turning + whirling * about), dim=-1)
 
     def warp_damping(self, link: int) -> wp.Function | None:
-        """Return the same in Warp; parameters that a link does not have cost nothing."""
+        """Return the Warp version; parameters that a link does not have cost nothing."""
         each = (_LINEAR, _QUADRATIC, _TURNING, _WHIRLING)
         if not any(self.has(link, *names) for names in each):
             return None

@@ -63,7 +63,7 @@ class MotorFailure(CommandEffect):
         return torch.ones_like(voltage).unsqueeze(-1)
 
     def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
 
         @wp.func
         def failure(plant: vehicle, now: moment, values: wp.vec4) -> wp.vec4:
@@ -73,7 +73,7 @@ class MotorFailure(CommandEffect):
         return failure
 
     def warp_command(self, vehicle: type, vector: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
 
         @wp.func
         def motor_failure(command: vector, plant: vehicle, values: wp.vec4) -> vector:

@@ -39,7 +39,7 @@ class QuadraticDrag(LinearWrenchEffect):
         return torch.cat((force, torch.zeros_like(force)), dim=1)
 
     def warp_wrench(self, condition: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
 
         @wp.func
         def quadratic_drag(at: condition, d: wp.vec3) -> wp.spatial_vector:

@@ -57,7 +57,7 @@ class RandomForce(WrenchEffect):
         return torch.where(begins.unsqueeze(-1), drawn, values[:, 4:])
 
     def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
         numbers = wp.types.vector(length=7, dtype=wp.float32)
 
         @wp.func
@@ -80,7 +80,7 @@ class RandomForce(WrenchEffect):
         return torch.cat((force, torch.zeros_like(force)), dim=-1)
 
     def warp_wrench(self, condition: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
         numbers = wp.types.vector(length=7, dtype=wp.float32)
 
         @wp.func

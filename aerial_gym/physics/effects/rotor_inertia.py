@@ -39,7 +39,7 @@ class RotorInertia(LinearWrenchEffect):
         return torch.cat((torch.zeros_like(torque), torque), dim=1).unsqueeze(-1)
 
     def warp_wrench(self, condition: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
         params = wp.types.vector(length=1, dtype=wp.float32)
 
         @wp.func

@@ -97,7 +97,7 @@ class SlungPayload(LoadEffect):
         return tension * direction + reaction, swing
 
     def warp_pull(self, suspension: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
         scalar = suspension.vars["gravity"].type
 
         @wp.func

@@ -56,7 +56,7 @@ class StuckRotor(CommandEffect):
         return torch.zeros_like(voltage).unsqueeze(-1).expand(-1, 2)
 
     def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
 
         @wp.func
         def sticking(plant: vehicle, now: moment, values: wp.vec4) -> wp.vec4:
@@ -73,7 +73,7 @@ class StuckRotor(CommandEffect):
         return sticking
 
     def warp_command(self, vehicle: type, vector: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
 
         @wp.func
         def stuck_rotor(command: vector, plant: vehicle, values: wp.vec4) -> vector:

@@ -23,13 +23,13 @@ class Track:
     """True rotor speeds [rad/s], (T, R)."""
 
     step: float
-    """Between two rows [s]."""
+    """Time between two rows [s]."""
 
     begins_on_ground: bool
-    """Whether the vehicle stands in the first row."""
+    """Whether the vehicle is on the ground in the first row."""
 
     settled: float = 1.0
-    """Share of what it would be in lasting hover that a memory is when a flight begins in the air: logs do not tell it."""
+    """Initial memory of a flight that begins in the air, as a share of its steady value in hover; logs do not give it."""
 
 
 def relax(rest: Array, start: Array, *, tau: float, step: float) -> Array:

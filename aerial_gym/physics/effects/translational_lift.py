@@ -32,7 +32,7 @@ class TranslationalLift(RotorEffect):
         return params[:, :1] * dot(condition.edgewise_velocity, condition.edgewise_velocity)
 
     def warp_thrust(self, condition: type, hub: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
         params = wp.types.vector(length=1, dtype=wp.float32)
 
         @wp.func

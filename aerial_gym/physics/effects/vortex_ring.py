@@ -70,7 +70,7 @@ class VortexRing(RotorEffect):
         return -params[:, :1] * thrust * excess * (1.0 - across).clamp_min(0.0).square()
 
     def warp_thrust(self, condition: type, hub: type) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
         params = wp.types.vector(length=1, dtype=wp.float32)
 
         @wp.func

@@ -46,7 +46,7 @@ class WindShear(WindEffect):
         return torch.stack((gain * x, gain * y, torch.zeros_like(gain)), dim=-1)
 
     def warp_wind(self) -> wp.Function:
-        """Return the same in Warp."""
+        """Return the Warp version."""
 
         @wp.func
         def wind_shear(position: wp.vec3, p: wp.vec4) -> wp.vec3:

@@ -16,16 +16,16 @@ class FusedHook:
     """A hook as Warp code."""
 
     struct: Any
-    """``wp.struct`` of what it reads and writes."""
+    """``wp.struct`` of the data that the hook reads and writes."""
 
     data: Any
-    """An instance, whose arrays stay where they are."""
+    """An instance of ``struct``, whose arrays keep their memory."""
 
     function: wp.Function
     """``(data, env, k, done: Substep) -> (position, attitude, lin_vel, ang_vel)`` after substep k, as in ``Substep``."""
 
     joints: bool = False
-    """Whether the data has an array ``joint_pos``, (K + 1, E, D), into which the kernel of a vehicle that bends writes."""
+    """Whether the data has an array ``joint_pos``, (K + 1, E, D), which the kernel of an articulated vehicle writes."""
 
 
 @wp.struct

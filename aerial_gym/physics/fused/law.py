@@ -43,10 +43,10 @@ class FusedLaw:
     """
 
     output: Literal["speed", "thrust", "wrench"]
-    """What the law gives."""
+    """Kind of the law's output."""
 
     num_actions: int
-    """Entries of an action."""
+    """Number of entries of an action."""
 
     low: Tensor
     """Lower limit of speed or thrust, (E, R)."""
@@ -58,20 +58,19 @@ class FusedLaw:
     """Declared thrust polynomial, from thrust to commanded speed, (E, R, 3); not needed for a speed."""
 
     reverse_thrust_map: Tensor | None = None
-    """Likewise of rotors that turn backwards; ``thrust_map`` if not given."""
+    """The same for reversed rotors; ``thrust_map`` by default."""
 
     allocation: Tensor | None = None
-    """From the wrench to thrusts, (E, R, 6); not needed for a speed."""
+    """Allocation from the wrench to thrusts, (E, R, 6); not needed for a speed."""
 
     follow: Callable[[Vehicle], Mapping[str, Tensor]] | None = None
-    """From the vehicle of each environment to the fields among those above that are to follow from it, (E, ...): plain torch on
-    rows; None where nothing does."""
+    """Row function from the vehicle of each environment to those fields above that depend on it, (E, ...); None without any."""
 
     saturation: Literal["prioritised", "clamp"] = "clamp"
-    """What gives way where the thrusts of a wrench are beyond the limits (``control.allocation``)."""
+    """Rule for thrusts beyond the rotor limits (``control.allocation``)."""
 
     lateral: bool = True
-    """Whether the wrench has a force beside body z; without, nothing is spent on it."""
+    """Whether the wrench has lateral force; without it, its computation is omitted."""
 
     idle: bool = True
     """Whether any rotor has no part in the force along body z."""
@@ -81,8 +80,7 @@ class FusedLaw:
     ``wp.spatial_vector``."""
 
     prepare: wp.Function | None = None
-    """``wp.func`` (action, gains) -> vector: what ``wrench`` needs of an action, computed once a launch; the action itself if
-    not given."""
+    """``wp.func`` (action, gains) -> vector for ``wrench``, computed once per launch; the action itself by default."""
 
     make_stateful_step: "Callable[[FusedLaw, int, bool], wp.Function] | None" = None
     """For a law with memory, in place of ``wrench``: from this, the number of rotors and whether they are of any kind to a
@@ -90,7 +88,7 @@ class FusedLaw:
     speeds, vector of R."""
 
     needs: LawNeeds | None = None
-    """What a law with memory must be given to remember."""
+    """Memory that the law needs."""
 
     gains_type: Any = None
     """``wp.struct`` of the gains."""
@@ -100,7 +98,7 @@ class FusedLaw:
 
     @property
     def num_prepared(self) -> int:
-        """Entries of a prepared action."""
+        """Number of entries of a prepared action."""
         return self.num_actions if self.prepare is None else self.prepare.func.__annotations__["return"]._length_
 
 

@@ -133,7 +133,7 @@ class Numbers:
     vehicle: list[Field]
     command: list[Field]
     gains: list[Field]  # All of them differ between environments, or none
-    lateral: bool  # Whether the law asks for a force beside body z
+    lateral: bool  # Whether the law commands lateral force
     effects: list[Tensor]  # Parameters (E, P) of the effects that act in a step, in the order of `forces`; packed
 
 
@@ -157,11 +157,11 @@ class Packing:
     """The first row in the packed tensor (N, E) of each field that differs between environments."""
 
     vehicle: Mapping[str, int]
-    entries: Mapping[str, tuple[int, ...]]  # Which entries of a field of the vehicle are packed, where not all are
+    entries: Mapping[str, tuple[int, ...]]  # Packed entries of partly packed fields of the vehicle
     twins: frozenset[str]  # Fields of the vehicle whose rows are those of an earlier field
     command: Mapping[str, int]
-    command_entries: Mapping[str, tuple[int, ...]]  # Likewise of a field of the command
-    gains: int | None  # Of the first gain; None where all environments have the same
+    command_entries: Mapping[str, tuple[int, ...]]  # The same for fields of the command
+    gains: int | None  # Row of the first gain; None for shared gains
     effects: int
     total: int  # N
 

@@ -16,8 +16,8 @@ from aerial_gym.math.warp_functions import vector_type
 class RotorTypes:
     """Types of a vehicle with R rotors."""
 
-    vector: Any  # A number of each rotor
-    rows: Any  # Three numbers of each rotor, (R, 3)
+    vector: Any  # One number per rotor
+    rows: Any  # Three numbers per rotor, (R, 3)
     allocation: Any  # (R, 6)
     vehicle: Any  # `wp.struct` of the vehicle in the equations of motion
     command: Any  # `wp.struct` of allocation and thrust maps, from a control law to commanded rotor speeds
@@ -31,7 +31,7 @@ class Hub:
     """Air and surroundings of one rotor."""
 
     speed: float  # [rad/s]
-    thrust: float  # of its own [N]
+    thrust: float  # without effects [N]
     radius: float  # [m]
     wake_room: float  # distance to the surface in the wake, ground or ceiling [m]
     inlet_room: float  # distance to the surface at the inlet [m]

@@ -50,7 +50,7 @@ class MujocoBackend(TorchBackend):
 
     name = "mujoco"
     packages = ("mujoco",)
-    """What it cannot do without; benchmarks tell their versions."""
+    """Required packages; benchmarks report their versions."""
 
     capabilities = Capabilities(
         devices=("cpu",),
@@ -58,7 +58,7 @@ class MujocoBackend(TorchBackend):
         integrators=("euler",),
         differentiable=False,
         effects=None,
-        lacks=("link_added_mass",),  # a body of MuJoCo has one mass along all axes
+        lacks=("link_added_mass",),  # MuJoCo's bodies have equal mass along all axes
         rotors=ROTOR_TRAITS,
         contact=True,
         joints=True,
@@ -70,11 +70,11 @@ class MujocoBackend(TorchBackend):
     _engine_of_trees: type[RolloutTrees] | type[WarpTrees] = RolloutTrees
     _trees: RolloutTrees | WarpTrees | None = None
     _start: MassState
-    """Motion from which MuJoCo last began a step of a rigid vehicle."""
+    """Motion at the start of MuJoCo's last step of a rigid vehicle."""
     _free_vel: Tensor
-    """Velocity after that step had nothing been touched [m/s], world, (E, 3)."""
+    """Velocity after that step without contact [m/s], world, (E, 3)."""
     _end_vel: Tensor
-    """Velocity after that step [m/s], world, (E, 3)."""
+    """Velocity after that step with contact [m/s], world, (E, 3)."""
 
     def prepare(self, dt: float) -> None:
         """Allocate the memory of effects and control law, and MuJoCo's models."""

@@ -31,20 +31,20 @@ class Floor:
     """A horizontal plane, and the shapes of the vehicle that can touch it."""
 
     height: float
-    """Of the plane [m], world; minus infinity where there is none."""
+    """Height of the plane [m], world; minus infinity without one."""
 
     spheres: Sequence[Sequence[float]]
-    """Centres x, y, z in the axes of the base and radii [m]; radius 0: a point."""
+    """Centres x, y, z in the axes of the base, and radii [m]; 0 for a point."""
 
     friction: float
     """Coulomb coefficient."""
 
     on_links: LinkShapes | None = None
-    """Of a vehicle that bends: links of the spheres, pairs that push, and surroundings."""
+    """Contacts of an articulated vehicle: links of the spheres, pairs of shapes, and obstacles."""
 
     @property
     def solids(self) -> Solids | None:
-        """The obstacles that push links; None without any."""
+        """Obstacles with contact to links; None without any."""
         return None if self.on_links is None else self.on_links.solids
 
 

@@ -46,10 +46,10 @@ class Trees(ABC):
     """Trees of all environments, with ``move`` in place of ``steppers.implicit_euler``."""
 
     backend: str
-    """What messages call it."""
+    """Name of the backend in messages."""
 
     impulse: Tensor
-    """Of ground and obstacles in the last step [N s], world, (E, 3), float64."""
+    """Impulse of ground and obstacles in the last step [N s], world, (E, 3), float64."""
 
     def __init__(
         self, first: Any, tree: Tree, num_envs: int, dt: float, *, solids: Solids | None, touches: bool

@@ -24,14 +24,16 @@ FLAT = 1e-6
 class BoundedLaws:
     """Functions of the bounded laws of all joints; vectors have one number per joint."""
 
-    ask: wp.Function  # (positions, commands) -> what drives ask for at the rate 0 at the end of the step
-    sides: wp.Function  # (asked, rates at the end, dt) -> sides of drives and of dry friction: 1, -1 at a limit, or 0
-    tangent: wp.Function  # (asked, both sides, dt) -> effort at the rate 0, and by how much it falls with the rate
-    fits: wp.Function  # (asked, both sides, rates at the end, dt) -> whether laws have these sides at these rates
-    line_search: wp.Function  # (asked, rates, efforts, other rates, their efforts, dt) -> best share of the way
+    ask: wp.Function  # (positions, commands) -> unlimited efforts of drives at the final rate 0
+    sides: wp.Function  # (asked, final rates, dt) -> sides of drives and of dry friction: 1, -1 at a limit, or 0
+    tangent: wp.Function  # (asked, both sides, dt) -> effort at the rate 0, and its decrease with the rate
+    fits: wp.Function  # (asked, both sides, final rates, dt) -> whether laws have these sides at these rates
+    line_search: (
+        wp.Function
+    )  # (asked, rates, efforts, other rates, their efforts, dt) -> minimum between both, as a share
     driven: wp.Function  # (asked, rates, dt) -> efforts of drives, within their limits
     rubbing: wp.Function  # (rates) -> efforts of dry friction, within its size
-    pushes: wp.Function  # (efforts of dry friction, rates) -> whether any is along its rate
+    pushes: wp.Function  # (efforts of dry friction, rates) -> whether any acts along its rate
 
 
 def make_bounded(articulation: Articulation) -> BoundedLaws:

@@ -30,9 +30,9 @@ from aerial_gym.physics.fused.types import RotorTypes
 class JointTypes:
     """Types of a vehicle with D joints."""
 
-    vector: Any  # A number of each joint
-    way_back: Any  # `wp.struct` of what is kept of each joint until the acceleration of the base is known
-    held: Any  # `wp.struct` of what is held through a step
+    vector: Any  # One number per joint
+    way_back: Any  # `wp.struct` of the numbers of each joint that the outward pass needs
+    held: Any  # `wp.struct` of the constants of a step
 
 
 def joint_types(num_joints: int, params_type: Any, rotor_vector: Any) -> JointTypes:

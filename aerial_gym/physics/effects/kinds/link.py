@@ -94,7 +94,7 @@ class LinkFluidEffect(Effect):
         """
 
     def warp_added_mass(self, link: int) -> wp.Function | None:
-        """Return the twin of ``added_inertia`` for one link; None if the effect does not act on it.
+        """Return the twin of ``added_mass`` for one link; None if the effect does not act on it.
 
         Args:
             link: Its number; 0 is the base.
