@@ -28,9 +28,7 @@ class BoundedLaws:
     sides: wp.Function  # (asked, final rates, dt) -> sides of drives and of dry friction: 1, -1 at a limit, or 0
     tangent: wp.Function  # (asked, both sides, dt) -> effort at the rate 0, and its decrease with the rate
     fits: wp.Function  # (asked, both sides, final rates, dt) -> whether laws have these sides at these rates
-    line_search: (
-        wp.Function
-    )  # (asked, rates, efforts, other rates, their efforts, dt) -> minimum between both, as a share
+    line_search: wp.Function  # (asked, rates, efforts, other rates, their efforts, dt) -> share of the minimum
     driven: wp.Function  # (asked, rates, dt) -> efforts of drives, within their limits
     rubbing: wp.Function  # (rates) -> efforts of dry friction, within its size
     pushes: wp.Function  # (efforts of dry friction, rates) -> whether any acts along its rate

@@ -35,7 +35,7 @@ def test_forces_come_by_kind_and_the_load_last() -> None:
 
 def test_changes_make_others() -> None:
     effects = some()
-    assert names_of(effects.without(LoadEffect)) == ["rotor_drag", "constant_wind", "quadratic_drag"]
+    assert names_of(effects.exclude(LoadEffect)) == ["rotor_drag", "constant_wind", "quadratic_drag"]
     assert names_of(effects.plus(EFFECTS.get("gusts"), torch.zeros(2, 2)))[-1] == "gusts"
     doubled = effects.with_params(lambda effect, params: params * (2.0 if isinstance(effect, WindEffect) else 1.0))
     assert [float(params[0, 0]) for _, params in doubled] == [0.0, 1.0, 4.0, 3.0]

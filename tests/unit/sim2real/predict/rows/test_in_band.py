@@ -71,7 +71,7 @@ def test_the_band_of_a_sum_is_the_sum_of_the_bands(effects: dict[str, tuple[floa
     whole = accelerations(model, state, load=link, condition=condition)
     acting = with_fluid(model, condition, acting_in(model, condition))
     if link is not None:
-        alone = accelerations(replace(model, effects=model.effects.without(LoadEffect)), state, condition=condition)
+        alone = accelerations(replace(model, effects=model.effects.exclude(LoadEffect)), state, condition=condition)
         gravity = model.gravity * torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
         suspension = suspension_at(model, state.attitude, quat_rotate(state.attitude, alone.specific_force) - gravity)
         force, torque, _ = pull_at(model, state.attitude, suspension, link)
