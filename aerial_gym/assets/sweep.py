@@ -2,9 +2,9 @@
 
 Between the poses, one point of each body, its pivot, moves along a straight line, and the body turns about it at a constant
 rate. The search is conservative advancement. At each instant, the nearest pair of robot shape and part gives a plane between
-them that supports the part. No corner of the shape's core can reach the plane before the root of ``h = u t + a t²/2``, with
-its height h, its speed u towards the plane and a bound a of its acceleration, all as seen from the part. The search goes on
-from there.
+them that supports the part. No corner of the shape's core can reach the plane before the root of ``h = u t + a t²/2``. Here h
+is its height, u its speed towards the plane and a a bound of its acceleration, relative to the part. The search continues
+there.
 
 Parts are convex, so the plane bounds the whole part; of a mesh, each face near the motion is swept as a separate part. The
 search reports a contact if it comes nearer than ``NEAR`` during an approach, or needs more than ``MAX_STEPS`` instants. Real
@@ -12,7 +12,7 @@ contacts are therefore never missed. A pass at a distance above ``NEAR`` (and 6e
 Sources: Mirtich (1996), Impulse-based Dynamic Simulation of Rigid Body Systems, PhD thesis, Berkeley (conservative
 advancement); Zhang, Lee, Kim (2006), Interactive continuous collision detection for non-convex polyhedra, The Visual Computer
 22 (bounds of the motion along the direction of the nearest pair).
-Letters: C shapes of the robot. Time runs from 0 to 1 between the two poses; displacements and turns are those of this span.
+Letters: C shapes of the robot. Time runs from 0 to 1 between the two poses; displacements and rotations are those of this span.
 """
 
 from functools import cache

@@ -48,8 +48,8 @@ def load_urdf(
             the asset.
 
     Raises:
-        ConfigError: If the file or a mesh is missing, is not a URDF, holds no geometry or an impossible number, has no
-            link of a given name, or if yourdfpy is not installed. The message names the file and, where it is one, the link.
+        ConfigError: If the file, a mesh or yourdfpy is missing; if the file is no URDF, or has no geometry; if a number is
+            impossible, or a named link missing. The message names the file and the link.
     """
     robot, link_ids = read_urdf(path), link_ids or {}
     for name in link_ids:

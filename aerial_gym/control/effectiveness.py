@@ -29,8 +29,8 @@ which an inverse would amplify."""
 def allocation_matrix(vehicle: Vehicle, gravity: float) -> Tensor:
     """Return the matrix that maps rotor thrusts to force and torque about the centre of mass, (E, 6, R).
 
-    A column is ``[a; (r - c) x a - s k a]`` with axis a, hub r, centre of mass c, spin s and torque per thrust k, taken
-    at the hover thrust ``m g / R`` where the two polynomials are not proportional, and at the largest one without weight.
+    A column is ``[a; (r - c) x a - s k a]`` with axis a, hub r, centre of mass c, spin s and torque per thrust k. If the two
+    polynomials are not proportional, k is that of the hover thrust ``m g / R``, or of the largest thrust without weight.
 
     Source:
         Mahony, Kumar, Corke (2012), Multirotor Aerial Vehicles, eq. 8, for arbitrary axes.

@@ -1,9 +1,9 @@
 """Damping of links by the air, evaluated at the end of a step.
 
-With ``F = -D u`` in axes of the link, u the velocity of its centre of mass c through the air, and the rate of u in these axes
-``u' = a_c - w x v_c + w x wind``, the force at the end of a step is ``-D (u + u' dt)`` with the D of its start, and the torque
-likewise by the angular velocity. The terms in the accelerations add to the mass matrix: ``M + dt sum J^T D J``. So a step is
-stable for every D.
+The force is ``F = -D u`` in axes of the link, with the velocity u of its centre of mass c through the air. The rate of u in
+these axes is ``u' = a_c - w x v_c + w x wind``. The force at the end of a step is ``-D (u + u' dt)`` with the D of its start,
+and the torque follows likewise from the angular velocity. The terms in the accelerations add to the mass matrix:
+``M + dt sum J^T D J``. So a step is stable for every D.
 Letters: E environments, L links, N coordinates of motion.
 
 Source: Hairer, Wanner (1996), Solving Ordinary Differential Equations II, section IV.8 (linearly implicit Euler).

@@ -1,8 +1,8 @@
 """Added mass of links: water that accelerates with each link of an articulated vehicle.
 
-For each link Kirchhoff's equations, with added masses A = diag(mx my mz) along the axes of the link (those of the body in the
-reference pose) at its centre of mass, added inertias B = diag(jx jy jz) about these, v the velocity of that centre through
-water in steady uniform motion, and w the angular velocity of the link; in axes of the link::
+Each link has added masses A = diag(mx my mz) at its centre of mass, along its axes (those of the body in the reference pose),
+and added inertias B = diag(jx jy jz) about them. With the velocity v of that centre through water in steady uniform motion,
+and the angular velocity w of the link, Kirchhoff's equations are, in axes of the link::
 
     F_water = -(A (a - w x v) + w x (A v))         a the acceleration of the centre in the world
     T_water = -(B w' + w x (B w) + v x (A v))      about the centre

@@ -72,7 +72,7 @@ def slew_limited_rate(
 def make_follow(num_rotors: int, general: bool, late: bool = False, *, stages: int = 1) -> wp.Function:
     """Return the function of the states after one or two stages, (vehicle, states, commands, span [s]) -> states.
 
-    Two stages in one call are rounded once. A state near its command stops when its change in a stage is below half a unit in
+    Two stages in one call are rounded once. A state near its command stops once its change in a stage is below half a unit in
     the last place, so separate stages end twice as far from the command. With ``late``, the command changes within a step.
     """
     types, limited_lag = rotor_types(num_rotors, general), make_limited_lag(wp.float32)
