@@ -167,5 +167,5 @@ def _draw(panel: Panel, clue: Clue) -> None:
     line = (clue.fitted - clue.neutral) / clue.scale * ends
     panel.line(ends, line, LINE, width=1.6, label=f"{clue.parameter} = {clue.fitted:.4g}")
     unit = "" if clue.unit == "-" else f" {clue.unit}"
-    panel.x_label = f"what {clue.scale:g}{unit} of {clue.parameter} would add"
-    panel.y_label, panel.boxed = "measured without it (units of the fit)", True
+    panel.x_label = f"contribution of {clue.scale:g}{unit} of {clue.parameter}"
+    panel.y_label, panel.boxed = "residual without it (units of the fit)", True

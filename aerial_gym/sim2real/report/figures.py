@@ -70,7 +70,7 @@ def figures(
         if variant in before.rollout
     ]
     rest = [
-        {"title": f"What remains of the {channel.name.replace('_', ' ')}", "image": plots.what_remains(parts, channel)}
+        {"title": f"Residual of the {channel.name.replace('_', ' ')}", "image": plots.what_remains(parts, channel)}
         for channel, parts in remaining(judged)
     ]
     kinds, models = shown_kinds(judged), models_of(judged)

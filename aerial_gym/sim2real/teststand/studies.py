@@ -177,7 +177,7 @@ def _choice_table(quantity: str, choice: Choice) -> Table:
         rows.append((fit.name + mark, f"{fit.fit_rms:.3g}", f"{fit.held_out_rms:.3g}", numbers))
     before, after = choice.before, choice.after
     rows.append(("before: w²", "", interval(before), ""))
-    rows.append(("after: chosen anew without each row", "", interval(after), change(before.value, after.value)))
+    rows.append(("after: selected again without each row", "", interval(after), change(before.value, after.value)))
     head = ("map", f"fit rms [{choice.unit}]", f"held-out rms [{choice.unit}]", "coefficients, 95 %")
     return Table(title=f"{quantity} map", head=head, rows=tuple(rows))
 
@@ -215,7 +215,7 @@ def study_joint(bench: Bench, *, release: float = 0.0) -> Study:
     record, best = study.record, study.laws[study.chosen]
     rows = []
     published = spans(record.time, study.published)
-    rows.append(("published quadratic spring, nothing fitted", "", *_angles(published), "", "", ""))
+    rows.append(("published quadratic spring, without a fit", "", *_angles(published), "", "", ""))
     for law in study.laws.values():
         mark = " (chosen)" * (law.name == study.chosen)
         fit, held_out = spans(record.time, law.residual), spans(record.time, law.held_out)
@@ -361,8 +361,8 @@ def _balance_tables(found: Balance) -> list[Table]:
         "candidate",
         "dm [kg]; x, y [m] of the centre of mass; place of the weight [m]; scale, torque_ratio of the rotor",
         "probability",
-        "p-value of what it leaves",
-        "p-value of its error on logs left out",
-        "that error, relative",
+        "p-value of its residual",
+        "p-value of its error on left-out logs",
+        "relative error on left-out logs",
     )
     return [*tables, *([Table(title="Candidates", head=head, rows=tuple(rows))] if rows else [])]

@@ -229,8 +229,8 @@ def test_the_reports_stand_alone(result: Path, folder: Path) -> None:
     assert "gap closed" in page
     assert '<td class="n better" title="better: -' in page  # axis by axis, flight by flight
     assert "<li>better: specific force x" in page
-    assert page.index("What the residual depends on") < page.index('id="effects"')
-    assert "What remains of the" in page
+    assert page.index("Residual against thrust, speed, height and voltage") < page.index('id="effects"')
+    assert "Residual of the" in page
     assert "rotor_drag" in (result / "report.md").read_text()
     table = pd.read_csv(result / "residuals.csv")
     assert set(table["set"]) == {"train", "test"}

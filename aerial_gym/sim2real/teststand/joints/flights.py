@@ -143,13 +143,13 @@ def study_flown_joints(
     corrected = found.corrected(robot, f"aerial-gym identify joints: {names}")
     named = "; ".join(f"{joint.name}: {what}" for joint in found.named for what in joint.changed) or "nothing"
     parts = (
-        "Errors are those of the effort that a joint must have given, below the bandwidth"
+        "Errors are those of the joint effort below the bandwidth"
         if found.logged
-        else "No log has angles of joints: all are fitted by what the body felt, below the bandwidth"
+        else "No log has joint angles: all joints are fitted to the motion of the body below the bandwidth"
     )
     return Study(
         title="Joints in flight",
-        intro=f"Differs from what is declared: {named}. {parts}; flights, or parts of the only one, are left out in turn.",
+        intro=f"Differences from the declaration: {named}. {parts}. Flights, or parts of a single one, are left out in turn.",
         mapping={"bandwidth_hz": bandwidth, **found.as_mapping()},
         tables=_logged_tables(found.logged) if found.logged else _hidden_tables(found),
         notes=(
@@ -173,7 +173,7 @@ def _logged_tables(joints: Sequence[FlownJoint]) -> tuple[Table, ...]:
         )
         for joint in joints
     )
-    head = ("joint", "differs", "law", "declared, error [N m]", "fitted, error on what is left out [N m]", "change")
+    head = ("joint", "differs", "law", "declared, error [N m]", "fitted, held-out error [N m]", "change")
     return Table(title="Joints", head=head, rows=rows), *(_numbers(joint) for joint in joints)
 
 
@@ -183,7 +183,7 @@ def _numbers(joint: FlownJoint) -> Table:
         for law in joint.laws.values()
         for name, value in law.params.items()
     ]
-    head = ("law", "number [N m, rad, s]", "95 %")
+    head = ("law", "parameter [N m, rad, s]", "95 %")
     return Table(title=f"Candidates for {joint.name}", head=head, rows=tuple(rows))
 
 
@@ -199,11 +199,13 @@ def _hidden_tables(found: FoundJoints) -> tuple[Table, ...]:
     )
     return (
         Table(
-            title="Joints", head=("joint", "number [N m, rad, s]", "declared", "fitted, 95 %", "differs"), rows=numbers
+            title="Joints",
+            head=("joint", "parameter [N m, rad, s]", "declared", "fitted, 95 %", "differs"),
+            rows=numbers,
         ),
         Table(
-            title="What the body felt",
-            head=("channel [m/s², rad/s²]", "declared, error", "fitted, error on what is left out", "change"),
+            title="Motion of the body",
+            head=("channel [m/s², rad/s²]", "declared, error", "fitted, held-out error", "change"),
             rows=felt,
         ),
     )
