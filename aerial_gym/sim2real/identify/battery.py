@@ -133,6 +133,6 @@ def _speed_ratios(robot: RobotCfg, flights: Sequence[Flight], gain: float, nomin
         sums = np.stack((_voltage(flight), flight.rotor_speed.sum(axis=1), speed.sum(axis=1)), axis=1)
         means.append(
             _block_means(sums, flight.rate)[_flying(flight)][1:]
-        )  # from the first measured speed on, noise and all
+        )  # the first block starts at a noisy measured speed
     voltage, measured, replayed = np.concatenate(means).T
     return voltage, measured / replayed

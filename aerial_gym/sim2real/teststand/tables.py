@@ -143,11 +143,11 @@ def check_rotor_numbers(path: str, speed: Array, thrust: Array, torque: Array | 
         )
     top = int(np.argmax(speed))
     if thrust[top] <= 0.0:
-        raise DataError(f"{path}: thrust at the highest speed is {thrust[top]:.4g} N, must be > 0; turn its sign")
+        raise DataError(f"{path}: thrust at the highest speed is {thrust[top]:.4g} N, must be > 0; invert its sign")
     if torque is None:
         return
     if torque[top] <= 0.0:
-        raise DataError(f"{path}: torque at the highest speed is {torque[top]:.4g} N m, must be > 0; turn its sign")
+        raise DataError(f"{path}: torque at the highest speed is {torque[top]:.4g} N m, must be > 0; invert its sign")
     ratio, low, high = float(torque[top] * speed[top] / thrust[top]), *POWER_PER_THRUST
     if low <= ratio <= high:
         return

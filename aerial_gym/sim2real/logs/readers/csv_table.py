@@ -166,7 +166,7 @@ def stamps_of(table: pd.DataFrame, layout: LogMapping, path: str) -> Array:
     if still * FEW_DIGITS > stamps.size and np.all(steps >= 0.0):
         raise DataError(
             f"{path}: {column} is the same in {still} rows as in the row before; its digits are too few to tell rows apart, or "
-            "rows of two time courses were sorted by it: write the rows as they were measured, with more digits"
+            "rows of two flights were sorted by it: write the rows as they were measured, with more digits"
         )
     return stamps
 

@@ -67,7 +67,9 @@ def read_course(path: Path, robot: RobotCfg, *, bandwidth: float) -> Course:
     for number, name in enumerate(robot.joints.names, 1):
         known = [column for column in (f"joint_{name}", f"joint_{number}") if column in table.columns]
         if not known:
-            raise DataError(f"{path}: has no angle of the joint {name}: a column joint_{name}, or joint_{number} [rad]")
+            raise DataError(
+                f"{path}: has no angle of the joint {name}; add a column joint_{name}, or joint_{number} [rad]"
+            )
         columns.append(known[0])
     angles = np.asarray(table[columns].apply(pd.to_numeric, errors="coerce"), dtype=float)
     if not np.isfinite(angles).all():

@@ -162,7 +162,9 @@ def _fit_one(joint: JointCfg, k: int, courses: Sequence[Course]) -> FlownJoint:
     )
     counts = [int(rows.sum()) for rows in kept]
     if angle.size < 50 * FOLDS:
-        raise DataError(f"joint {joint.name}: {angle.size} rows in which it moves within its ends; fly longer")
+        raise DataError(
+            f"joint {joint.name}: {angle.size} rows of motion between its end stops, needs {50 * FOLDS}; fly longer"
+        )
     fold = parts_of(counts)
     laws = {name: _fit_law(name, angle, rate, side, effort, fold) for name in LAWS}
     least = min(law.error.value for law in laws.values())

@@ -63,7 +63,8 @@ def fit_hidden_joints(
     if left_out := [reason for joint in joints_of(robot).layout if (reason := unfit(joint))]:
         why = "has a drive, whose effort is not logged" if left_out[0].code == "joint_driven" else "creeps"
         raise ConfigError(
-            f"identify joints: without logged angles all joints are needed, and {left_out[0].subject} {why}"
+            "identify joints: without logged angles every joint must be passive and without creep, but "
+            f"{left_out[0].subject} {why}"
         )
     return _Fit(robot, rides, bandwidth).run(progress)
 

@@ -102,7 +102,9 @@ def test_what_cannot_be_found_so_is_refused_by_name(tmp_path: Path) -> None:
     drive = DriveCfg(mode="effort", limit=1.0, command_range=(-1.0, 1.0))
     first = replace(plain.joints.layout[0], spring=None, drive=drive)
     driven = replace(plain, joints=replace(plain.joints, layout=(first, *plain.joints.layout[1:])))
-    with pytest.raises(ConfigError, match="without logged angles all joints are needed, and arm0 has a drive"):
+    with pytest.raises(
+        ConfigError, match="without logged angles every joint must be passive and without creep, but arm0 has a drive"
+    ):
         fit_hidden_joints(driven, [ride], bandwidth=BAND)
     with pytest.raises(ConfigError, match="this robot has no joints"):
         fit_hidden_joints(ROBOTS.get("base_quadrotor"), [ride], bandwidth=BAND)

@@ -187,7 +187,7 @@ def test_units_do_not_change_the_map(
     [
         (lambda t: t.assign(omega=t["omega"] * 60 / 6.28), r"must lie in \[0, 12000\].*--units speed rpm"),
         (lambda t: t.assign(torque_Nm=t["torque_Nm"] * 1e3), r"a unit is wrong. It would fit with .*torque in mN m"),
-        (lambda t: t.assign(thrust_N=-t["thrust_N"]), r"thrust at the highest speed is .*turn its sign"),
+        (lambda t: t.assign(thrust_N=-t["thrust_N"]), r"thrust at the highest speed is .*invert its sign"),
         (lambda t: t.rename(columns={"thrust_N": "lift"}).drop(columns="torque_Nm"), r"no column for the thrust"),
         (lambda t: t[:5], r"has 5 different speeds, needs at least 6"),
         (lambda t: t.rename(columns={"thrust_N": "thrust_total_N"}), r"of several motors; say how many"),
