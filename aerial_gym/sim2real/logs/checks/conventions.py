@@ -35,7 +35,7 @@ QUIET_SPEED = 0.3
 """Below this RMS velocity [m/s] the comparison with the position is skipped."""
 
 QUIET_FORCE = 0.5
-"""Acceleration [m/s²] that the relative error of the acceleration is divided by at least."""
+"""Least reference [m/s²] for the relative error of the acceleration."""
 
 LEAST_ACROSS = 1.0
 """Least horizontal RMS specific force [m/s²] that reveals world axes; drag alone causes less."""
